@@ -1,0 +1,1 @@
+"""Direct multiobject tracking in PyTorch, batched and differentiable."""
