@@ -1,0 +1,87 @@
+"""Two-object scenes on a line array, small enough to enumerate."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from oracles.enumeration import Problem
+from torchdt.model.measurement import Measurement, from_snapshots
+from torchdt.state import Noise, Objects
+
+NUM_SENSORS, NUM_TONES, NUM_SNAPSHOTS, NUM_STATES = 8, 7, 3, 120
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One enumerated scene: for the oracle, and as tensors for BP."""
+
+    problem: Problem
+    prior: Objects
+    response: Tensor
+    noise: Noise
+    measurement: Measurement
+
+
+def steering(bearing_deg: np.ndarray) -> np.ndarray:
+    """Unit-norm plane-wave responses (X, I, M); tones from half to full design frequency."""
+    tones = np.linspace(0.5, 1.0, NUM_TONES)
+    phase = np.pi * np.sin(np.deg2rad(bearing_deg))[:, None, None] * tones[:, None] * np.arange(NUM_SENSORS)
+    return np.exp(-1j * phase) / np.sqrt(NUM_SENSORS)
+
+
+def make_scene(
+    seed: int,
+    truth_deg: tuple[float, ...],
+    truth_power: tuple[float, ...],
+    regions: tuple[tuple[float, float], tuple[float, float]],
+    noise_variance: float = 0.05,
+    prior_existence: tuple[float, float] = (0.1, 0.1),
+    num_power: int = 4,
+    num_noise: int = 3,
+) -> Scene:
+    """Simulate Gaussian amplitudes and lay out the grids of both potential objects."""
+    rng = np.random.default_rng(seed)
+
+    def complex_normal(*shape: int) -> np.ndarray:
+        return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
+
+    z = np.sqrt(noise_variance) * complex_normal(NUM_TONES, NUM_SNAPSHOTS, NUM_SENSORS)
+    for bearing, power in zip(truth_deg, truth_power, strict=True):
+        amplitude = np.sqrt(power) * complex_normal(NUM_TONES, NUM_SNAPSHOTS, 1)
+        z = z + amplitude * steering(np.array([bearing]))[0][:, None, :]
+    grids = [np.linspace(low, high, NUM_STATES) for low, high in regions]
+    power = np.tile(np.geomspace(0.25, 16.0, num_power), (NUM_TONES, 1))
+    noise = np.tile(noise_variance * np.geomspace(0.7, 1.4, num_noise) if num_noise > 1 else [noise_variance], (NUM_TONES, 1))
+    responses = [steering(g) for g in grids]
+    uniform = np.full(NUM_STATES, -np.log(NUM_STATES))
+    log_power, log_noise = np.full_like(power, -np.log(num_power)), np.full_like(noise, -np.log(num_noise))
+    problem = Problem(
+        (responses[0], responses[1]),
+        (uniform, uniform),
+        prior_existence,
+        power,
+        log_power,
+        noise,
+        log_noise,
+        np.einsum("ijm,ijk->imk", z, z.conj()),
+        NUM_SNAPSHOTS,
+    )
+    prior_r = torch.tensor(prior_existence, dtype=torch.float64)
+    prior = Objects(
+        state=torch.tensor(np.stack(grids))[..., None],
+        log_weight=torch.tensor(np.stack([uniform, uniform])),
+        power=torch.tensor(power).expand(2, -1, -1),
+        log_power_weight=torch.tensor(log_power).expand(2, -1, -1),
+        log_odds=torch.logit(prior_r),
+        label=torch.zeros(2, dtype=torch.int64),
+    )
+    response = torch.tensor(np.stack(responses)).transpose(-3, -2).contiguous()
+    return Scene(
+        problem,
+        prior,
+        response,
+        Noise(torch.tensor(noise), torch.tensor(log_noise)),
+        from_snapshots(torch.tensor(z)),
+    )

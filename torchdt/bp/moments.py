@@ -1,0 +1,42 @@
+"""Moment matching: every object as a zero-mean complex Gaussian for the others."""
+
+import torch
+from torch import Tensor
+
+
+def response_moment(response: Tensor, log_weight: Tensor) -> Tensor:
+    """`E[a a^H]` of a particle set.
+
+    Args:
+        response: `(*batch, I, P, M)` complex.
+        log_weight: `(*batch, P)` normalised.
+
+    Returns:
+        `(*batch, I, M, M)` complex Hermitian.
+    """
+    weighted = response * log_weight.exp()[..., None, :, None]
+    return weighted.mT @ response.conj()
+
+
+def signal_covariance(strength: Tensor, moment: Tensor) -> Tensor:
+    """`sum_n r_n E[gamma_n] E[a_n a_n^H]`.
+
+    Args:
+        strength: `(*batch, N, I)` real, `r_n E[gamma_n]`; zero leaves an object out.
+        moment: `(*batch, N, I, M, M)` complex.
+
+    Returns:
+        `(*batch, I, M, M)` complex Hermitian.
+    """
+    return (strength[..., None, None] * moment).sum(-4)
+
+
+def without(strength: Tensor, index: Tensor) -> Tensor:
+    """Zero the strength of one object per batch element.
+
+    Args:
+        strength: `(*batch, N, I)`.
+        index: `(*batch,)` int64.
+    """
+    slots = torch.arange(strength.shape[-2], device=strength.device)
+    return torch.where((slots == index[..., None])[..., None], 0.0, strength)

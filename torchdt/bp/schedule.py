@@ -1,0 +1,141 @@
+"""The order in which messages are computed decides whether loopy BP succeeds.
+
+`sequential` visits the objects one after another, strongest (existence x power) first, per batch
+element; each visit uses the newest beliefs of the others. `flooding` computes all messages at once from
+the beliefs of the last pass, as loopy BP is usually written; it finds ghosts beside strong sources and
+may oscillate for ever where objects overlap.
+"""
+
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdt.bp.messages import ObjectBelief, object_belief
+from torchdt.bp.moments import response_moment, signal_covariance, without
+from torchdt.bp.noise import update_noise
+from torchdt.bp.rank_one import whiten
+from torchdt.model.measurement import Measurement, mask_covariance
+from torchdt.state import Noise, Objects, weighted_mean
+
+Schedule = Literal["sequential", "flooding"]
+
+
+class Beliefs(NamedTuple):
+    """Current beliefs of all objects and the noise on fixed support points.
+
+    Attributes:
+        objects: `ObjectBelief` of batch `(*batch, N)`.
+        noise: noise belief.
+        moment: `(*batch, N, I, M, M)` complex `E[a a^H]`.
+        strength: `(*batch, N, I)` real `r E[gamma]`.
+    """
+
+    objects: ObjectBelief
+    noise: Noise
+    moment: Tensor
+    strength: Tensor
+
+
+def as_belief(objects: Objects) -> ObjectBelief:
+    """The weights of potential objects, without their support points."""
+    return ObjectBelief(objects.log_weight, objects.log_power_weight, objects.log_odds)
+
+
+def initial_beliefs(prior: Objects, response: Tensor, noise: Noise) -> Beliefs:
+    """Beliefs before any message: the predicted ones."""
+    moment = response_moment(response, prior.log_weight)
+    strength = prior.existence[..., None] * prior.mean_power
+    return Beliefs(as_belief(prior), noise, moment, strength)
+
+
+def strongest_first(strength: Tensor) -> Tensor:
+    """Slots by decreasing total strength, `(*batch, N, I)` to `(*batch, N)` int64; ties keep their order."""
+    return torch.sort(strength.sum(-1), dim=-1, descending=True, stable=True).indices
+
+
+def take(tensor: Tensor, index: Tensor) -> Tensor:
+    """Entry `index` of dimension `index.ndim`, per batch element: `(*batch, N, ...)` to `(*batch, ...)`."""
+    at = index.reshape(*index.shape, *(1 for _ in range(tensor.ndim - index.ndim)))
+    at = at.expand(*index.shape, 1, *tensor.shape[index.ndim + 1 :])
+    return tensor.gather(index.ndim, at).squeeze(index.ndim)
+
+
+def put(tensor: Tensor, index: Tensor, value: Tensor) -> Tensor:
+    """The inverse of `take`, out of place."""
+    slots = torch.arange(tensor.shape[index.ndim], device=tensor.device) == index[..., None]
+    slots = slots.reshape(*slots.shape, *(1 for _ in range(tensor.ndim - slots.ndim)))
+    return torch.where(slots, value.unsqueeze(index.ndim), tensor)
+
+
+def update(
+    prior: Objects,
+    response: Tensor,
+    noise: Noise,
+    measurement: Measurement,
+    *,
+    sweeps: int = 3,
+    schedule: Schedule = "sequential",
+    initial: Beliefs | None = None,
+) -> Beliefs:
+    """BP update of one time step on fixed particles.
+
+    Args:
+        prior: predicted objects, batch `(*batch, N)`.
+        response: `(*batch, N, I, P, M)` complex responses of the particles.
+        noise: predicted noise.
+        measurement: statistics of the step, batch `(*batch,)`.
+        sweeps: passes over all objects; the noise is updated after each.
+        schedule: `sequential` or `flooding`.
+        initial: beliefs to start from; the predicted ones if None.
+
+    Raises:
+        NumericalError: where a covariance is not positive definite or a message not finite.
+    """
+    beliefs = initial_beliefs(prior, response, noise) if initial is None else initial
+    one_sweep = _sequential_sweep if schedule == "sequential" else _flooding_sweep
+    for _ in range(sweeps):
+        beliefs = one_sweep(prior, response, measurement, beliefs)
+        signal = signal_covariance(beliefs.strength, beliefs.moment)
+        beliefs = beliefs._replace(noise=update_noise(noise, measurement, signal))
+    return beliefs
+
+
+def background(beliefs: Beliefs, strength: Tensor, measurement: Measurement) -> Tensor:
+    """`Sigma = sum_n strength_n E[a_n a_n^H] + E[eta] I`, `(*batch, I, M, M)`."""
+    signal = signal_covariance(strength, beliefs.moment)
+    return mask_covariance(signal, beliefs.noise.mean, measurement.present)
+
+
+def _sequential_sweep(prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs) -> Beliefs:
+    order = strongest_first(beliefs.strength)
+    # Empty slots sort last and have nothing to say; how many there are differs across the batch.
+    for visit in range(int(prior.log_odds.isfinite().sum(-1).max())):
+        index = order[..., visit]
+        whitener = whiten(measurement, background(beliefs, without(beliefs.strength, index), measurement))
+        slot_response, slot_power = take(response, index), take(prior.power, index)
+        slot_prior = ObjectBelief(*(take(t, index) for t in as_belief(prior)))
+        slot = object_belief(whitener, slot_response, slot_power, slot_prior)
+        beliefs = store(beliefs, index, slot, slot_power, response_moment(slot_response, slot.log_weight))
+    return beliefs
+
+
+def store(beliefs: Beliefs, index: Tensor, slot: ObjectBelief, power: Tensor, moment: Tensor) -> Beliefs:
+    """Put the new belief of one slot per batch element in its place, with its moments."""
+    strength = torch.sigmoid(slot.log_odds)[..., None] * weighted_mean(power, slot.log_power_weight)
+    return beliefs._replace(
+        objects=ObjectBelief(*(put(old, index, new) for old, new in zip(beliefs.objects, slot, strict=True))),
+        moment=put(beliefs.moment, index, moment),
+        strength=put(beliefs.strength, index, strength),
+    )
+
+
+def _flooding_sweep(prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs) -> Beliefs:
+    num = beliefs.strength.shape[-2]
+    others = 1 - torch.eye(num, dtype=beliefs.strength.dtype, device=beliefs.strength.device)
+    per_object = Measurement(*(t.unsqueeze(-t_dims) for t, t_dims in zip(measurement, (4, 2, 3), strict=True)))
+    signal = torch.einsum("nm,...mi,...mikl->...nikl", others.to(beliefs.moment.dtype), beliefs.strength.to(beliefs.moment.dtype), beliefs.moment)
+    whitener = whiten(per_object, mask_covariance(signal, beliefs.noise.mean[..., None, :], per_object.present))
+    objects = object_belief(whitener, response, prior.power, as_belief(prior))
+    strength = torch.sigmoid(objects.log_odds)[..., None] * weighted_mean(prior.power, objects.log_power_weight)
+    return beliefs._replace(objects=objects, moment=response_moment(response, objects.log_weight), strength=strength)

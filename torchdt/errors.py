@@ -1,0 +1,26 @@
+"""The error that all bad input raises."""
+
+from typing import Self
+
+
+class InputError(ValueError):
+    """Input from outside that does not fit: a file, one of its keys, or an argument made from it."""
+
+    @classmethod
+    def of_key(cls, key: str, found: object, expected: object) -> Self:
+        """Build the error of one key, in the form all messages share.
+
+        Args:
+            key: name of the array or setting at fault.
+            found: what was there, in words.
+            expected: what would have been right, in words.
+
+        Returns:
+            An error that reads `key 'snapshots': found ..., expected ...`.
+        """
+        return cls(f"key '{key}': found {found}, expected {expected}")
+
+    @classmethod
+    def of_path(cls, path: object, found: object, expected: object) -> Self:
+        """Build the error of a file as a whole: `path 'x.npz': found ..., expected ...`."""
+        return cls(f"path '{path}': found {found}, expected {expected}")

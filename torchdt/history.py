@@ -1,0 +1,41 @@
+"""What a tracker returns for a whole recording."""
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+
+class TrackHistory(NamedTuple):
+    """Beliefs about N potential objects over K steps.
+
+    A state is d positions, then d rates (D = 2d). Values of slots that hold no object are finite but
+    meaningless: read them only where `declared` is true or `label` is positive.
+
+    Attributes:
+        existence: `(*batch, K, N)` probability that the object exists.
+        declared: `(*batch, K, N)` bool, the object is reported.
+        label: `(*batch, K, N)` int64, identity of the track in the slot; 0 = none yet.
+        state: `(*batch, K, N, D)` minimum mean-square error (MMSE) estimates given existence.
+        power: `(*batch, K, N, I)` MMSE transmit power per tone, in squared units of the data.
+        noise: `(*batch, K, I)` MMSE noise variance per tone, in squared units of the data.
+        effective_sample_size: `(*batch, K, N)` of the state particles, in particles.
+        log_evidence: `(*batch, K)` log p(z_k | z_1..k-1), natural logarithm.
+    """
+
+    existence: Tensor
+    declared: Tensor
+    label: Tensor
+    state: Tensor
+    power: Tensor
+    noise: Tensor
+    effective_sample_size: Tensor
+    log_evidence: Tensor
+
+    @property
+    def position(self) -> Tensor:
+        """Position estimates `(*batch, K, N, d)`."""
+        return self.state[..., : self.state.shape[-1] // 2]
+
+    def select(self, run: int) -> "TrackHistory":
+        """One element of the leading batch dimension, `(K, ...)` for a batch `(B, K, ...)`."""
+        return TrackHistory(*(field[run] for field in self))

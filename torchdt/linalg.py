@@ -1,0 +1,34 @@
+"""Small dense linear algebra that names its failures."""
+
+import torch
+from torch import Tensor
+
+
+class NumericalError(ArithmeticError):
+    """A quantity left the range in which the algorithm makes sense."""
+
+
+def cholesky(matrix: Tensor, name: str) -> Tensor:
+    """Lower Cholesky factor of a Hermitian matrix, `(*batch, M, M)`.
+
+    Raises:
+        NumericalError: naming the matrix and its first bad batch index.
+    """
+    lower, info = torch.linalg.cholesky_ex(matrix)
+    if bool((info != 0).any()):
+        where = tuple(int(i) for i in (info != 0).nonzero()[0])
+        raise NumericalError(f"{name}: not positive definite at batch index {where}")
+    return lower
+
+
+def check_finite(values: Tensor, name: str) -> Tensor:
+    """Return `values`, which may hold minus infinity (a zero weight) but neither NaN nor plus infinity.
+
+    Raises:
+        NumericalError: naming the quantity and its first bad batch index.
+    """
+    bad = values.isnan() | values.isposinf()
+    if bool(bad.any()):
+        where = tuple(int(i) for i in bad.nonzero()[0])
+        raise NumericalError(f"{name}: NaN or infinite at index {where}")
+    return values

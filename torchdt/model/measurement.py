@@ -1,0 +1,124 @@
+"""What one time step of array data says: the scatter matrix, through a factor, and snapshot counts."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdt.linalg import cholesky
+
+
+class Measurement(NamedTuple):
+    """Sufficient statistics of the snapshots of one or more time steps.
+
+    The J snapshots of a tone enter the likelihood only through their scatter matrix
+    `S = sum_j z_j z_j^H = B B^H` and J. The factor B is kept because it is smaller than S for few
+    snapshots and keeps twice the digits.
+
+    Attributes:
+        factor: `(*batch, I, M, R)` complex B; zero in the rows of missing sensors.
+        count: `(*batch, I)` real J, the number of snapshots; 0 where all are missing.
+        present: `(*batch, I, M)` real, 1 for a sensor that is heard and 0 for a missing one.
+    """
+
+    factor: Tensor
+    count: Tensor
+    present: Tensor
+
+    @property
+    def energy(self) -> Tensor:
+        """Received energy per snapshot `tr(S) / J`, `(*batch, I)`; 0 without snapshots."""
+        return self.factor.abs().square().sum((-2, -1)) / self.count.clamp_min(1.0)
+
+    def at(self, step: int) -> "Measurement":
+        """Select one step of a sequence stored as `(*batch, K, I, ...)`."""
+        return Measurement(self.factor[..., step, :, :, :], self.count[..., step, :], self.present[..., step, :, :])
+
+    def tempered(self, power: Tensor | float) -> "Measurement":
+        """Raise the likelihood to a power: an effective number of `power * J` snapshots.
+
+        Args:
+            power: real, broadcastable to `(*batch, I)`.
+        """
+        power = torch.as_tensor(power, dtype=self.count.dtype, device=self.count.device)
+        return self._replace(factor=self.factor * power.sqrt()[..., None, None], count=self.count * power)
+
+
+def from_snapshots(snapshots: Tensor) -> Measurement:
+    """Statistics of raw snapshots.
+
+    NaN means missing. A snapshot that lacks more than half of the tone's sensors is left out as a
+    whole; a sensor that then still lacks in any remaining snapshot is left out for that tone and step.
+
+    Args:
+        snapshots: `(*batch, I, J, M)` complex.
+
+    Returns:
+        Measurement with R = min(J, M).
+    """
+    heard = ~snapshots.isnan()
+    usable = heard.sum(-1, keepdim=True) * 2 > heard.any(-2, keepdim=True).sum(-1, keepdim=True)
+    present = (heard | ~usable).all(-2) & usable.any(-2)
+    kept = torch.where(usable & present[..., None, :], snapshots, torch.zeros_like(snapshots))
+    factor = kept.mT
+    if factor.shape[-1] > factor.shape[-2]:
+        factor = _square_root(factor @ factor.mH)
+    real = snapshots.real.dtype
+    return Measurement(factor, usable[..., 0].sum(-1).to(real), present.to(real))
+
+
+def from_covariance(covariance: Tensor, num_snapshots: float) -> Measurement:
+    """Statistics of sample covariances `S / J`; a sensor whose variance is NaN is missing.
+
+    Args:
+        covariance: `(*batch, I, M, M)` complex Hermitian.
+        num_snapshots: J, the number of snapshots (or of effective ones) behind each covariance.
+    """
+    real = covariance.real.dtype
+    present = ~covariance.diagonal(dim1=-2, dim2=-1).isnan()
+    kept = present[..., :, None] & present[..., None, :] & ~covariance.isnan()
+    scatter = num_snapshots * torch.where(kept, covariance, torch.zeros_like(covariance))
+    count = num_snapshots * present.any(-1).to(real)
+    return Measurement(_square_root(scatter), count, present.to(real))
+
+
+def _square_root(scatter: Tensor) -> Tensor:
+    eigenvalue, eigenvector = torch.linalg.eigh(scatter)
+    return eigenvector * eigenvalue.clamp_min(0.0).sqrt()[..., None, :]
+
+
+def gaussian_log_likelihood(measurement: Measurement, covariance: Tensor) -> Tensor:
+    """`log f(z | C) = -J (M log pi + log|C|) - tr(C^-1 S)` per tone (Liang and Meyer, Sec. II-A).
+
+    Args:
+        measurement: statistics, batch `(*batch, I)`.
+        covariance: `(*batch, I, M, M)` complex, positive definite, with the noise variance on the
+            diagonal of missing sensors (see `mask_covariance`).
+
+    Returns:
+        `(*batch, I)` real; the constant counts only sensors that are present.
+
+    Raises:
+        NumericalError: where C is not positive definite.
+    """
+    lower = cholesky(covariance, "measurement covariance")
+    present = measurement.present
+    log_diagonal = lower.diagonal(dim1=-2, dim2=-1).real.log()
+    log_det = 2 * (present * log_diagonal).sum(-1)
+    whitened = torch.linalg.solve_triangular(lower, measurement.factor, upper=False)
+    misfit = whitened.abs().square().sum((-2, -1))
+    return -measurement.count * (present.sum(-1) * math.log(math.pi) + log_det) - misfit
+
+
+def mask_covariance(signal: Tensor, noise: Tensor, present: Tensor) -> Tensor:
+    """`C = signal + eta I` with the rows and columns of missing sensors removed from the signal part.
+
+    Args:
+        signal: `(*batch, I, M, M)` complex.
+        noise: `(*batch, I)` real variance eta.
+        present: `(*batch, I, M)` real mask.
+    """
+    masked = signal * (present[..., :, None] * present[..., None, :])
+    eye = torch.eye(signal.shape[-1], dtype=signal.dtype, device=signal.device)
+    return masked + noise[..., None, None] * eye

@@ -1,0 +1,106 @@
+"""The region of interest: coordinates, their limits, and the cells in which objects are born."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One position coordinate and its rate.
+
+    Attributes:
+        name: for example `range`.
+        unit: of the position, for example `m`; rates are in `unit`ps.
+        low, high: limits of the region, in units.
+        cell: edge of a birth cell, in units; the region holds a whole number of cells.
+        rate_low, rate_high: rates of newborn objects are uniform between these.
+        driving_variance: variance of the acceleration-like driving noise, (unit / s^2)^2.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    cell: float
+    rate_low: float
+    rate_high: float
+    driving_variance: float
+
+    def __post_init__(self) -> None:
+        if not self.low < self.high:
+            raise ValueError(f"coordinate {self.name}: found low {self.low}, high {self.high}, expected low < high")
+        if not self.rate_low < self.rate_high:
+            raise ValueError(
+                f"coordinate {self.name}: found rate_low {self.rate_low}, rate_high {self.rate_high}, "
+                "expected rate_low < rate_high"
+            )
+        if not 0 < self.cell <= self.high - self.low:
+            raise ValueError(f"coordinate {self.name}: found cell {self.cell}, expected at most the region's width")
+        if not self.driving_variance > 0:
+            raise ValueError(f"coordinate {self.name}: found driving_variance {self.driving_variance}, expected > 0")
+
+    @property
+    def num_cells(self) -> int:
+        """Number of birth cells along this coordinate."""
+        return max(1, round((self.high - self.low) / self.cell))
+
+
+class Region:
+    """Support of the object states: a box in position, all rates.
+
+    Args:
+        coordinates: the d position coordinates, slowest-varying grid axis first.
+        dtype, device: of the tensors handed out.
+    """
+
+    def __init__(
+        self,
+        coordinates: Sequence[Coordinate],
+        dtype: torch.dtype = torch.float32,
+        device: torch.device | str = "cpu",
+    ):
+        self.coordinates = tuple(coordinates)
+
+        def vector(values: Sequence[float]) -> Tensor:
+            return torch.tensor(values, dtype=dtype, device=device)
+
+        self.low = vector([c.low for c in self.coordinates])
+        self.high = vector([c.high for c in self.coordinates])
+        self.rate_low = vector([c.rate_low for c in self.coordinates])
+        self.rate_high = vector([c.rate_high for c in self.coordinates])
+        self.driving_variance = vector([c.driving_variance for c in self.coordinates])
+        self.grid_shape = tuple(c.num_cells for c in self.coordinates)
+        self.cell = (self.high - self.low) / vector([float(n) for n in self.grid_shape])
+
+    @property
+    def num_coordinates(self) -> int:
+        """Number d of position coordinates; a state has 2 d entries."""
+        return len(self.coordinates)
+
+    @property
+    def num_cells(self) -> int:
+        """Number Q of birth cells in the region."""
+        return int(torch.tensor(self.grid_shape).prod())
+
+    def cell_centres(self) -> Tensor:
+        """Centres of all birth cells, `(Q, d)`, last coordinate fastest."""
+        axes = [
+            low + cell * (torch.arange(n, dtype=low.dtype, device=low.device) + 0.5)
+            for low, cell, n in zip(self.low, self.cell, self.grid_shape, strict=True)
+        ]
+        return torch.cartesian_prod(*axes).reshape(-1, self.num_coordinates)
+
+    def contains(self, state: Tensor) -> Tensor:
+        """Whether positions lie in the region, `(*batch, D)` to `(*batch,)` bool."""
+        position = state[..., : self.num_coordinates]
+        return ((position >= self.low) & (position <= self.high)).all(-1)
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Names of the 2 d state entries for tables: positions, then rates."""
+        positions = [f"{c.name}_{c.unit}" for c in self.coordinates]
+        rates = [f"{c.name}_rate_{c.unit}ps" for c in self.coordinates]
+        return (*positions, *rates)

@@ -1,0 +1,54 @@
+"""Random numbers from one explicit generator per sequence."""
+
+import math
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Generator, Tensor
+
+
+class RandomStreams:
+    """One `torch.Generator` per sequence of a batch.
+
+    A sequence draws the same numbers alone and inside any batch, because every draw is made sequence
+    by sequence. Draws therefore must not depend on the other sequences of the batch.
+
+    Args:
+        generators: one generator for each of the `prod(batch_shape)` sequences, in row-major order.
+        batch_shape: leading dimensions of every draw.
+        dtype: real type of the draws.
+
+    Raises:
+        ValueError: where the number of generators does not fit the batch shape.
+    """
+
+    def __init__(self, generators: Sequence[Generator], batch_shape: Sequence[int], dtype: torch.dtype):
+        if len(generators) != math.prod(batch_shape):
+            raise ValueError(f"generators: found {len(generators)}, expected {math.prod(batch_shape)}, one a sequence")
+        self.generators = list(generators)
+        self.batch_shape = tuple(batch_shape)
+        self.dtype = dtype
+
+    @classmethod
+    def from_seeds(
+        cls,
+        seeds: Sequence[int],
+        batch_shape: Sequence[int],
+        dtype: torch.dtype,
+        device: torch.device | str = "cpu",
+    ) -> "RandomStreams":
+        """Start one generator per seed."""
+        generators = [Generator(device=device).manual_seed(int(seed)) for seed in seeds]
+        return cls(generators, batch_shape, dtype)
+
+    def normal(self, *shape: int) -> Tensor:
+        """Standard normal draws, `(*batch, *shape)`."""
+        return self._draw(torch.randn, shape)
+
+    def uniform(self, *shape: int) -> Tensor:
+        """Uniform draws on [0, 1), `(*batch, *shape)`."""
+        return self._draw(torch.rand, shape)
+
+    def _draw(self, draw: Callable[..., Tensor], shape: Sequence[int]) -> Tensor:
+        draws = [draw(shape, generator=g, dtype=self.dtype, device=g.device) for g in self.generators]
+        return torch.stack(draws).reshape(*self.batch_shape, *shape)

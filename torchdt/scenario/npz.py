@@ -1,0 +1,97 @@
+"""Recordings in NumPy's `.npz` format, without pickles.
+
+Keys: `snapshots` or `covariance` with `num_snapshots`; `step_s`; and, where a field or a score needs them,
+`freqs`, `element_depths`, `sensor_positions`, `truth`. `validate` says what each must be.
+"""
+
+import logging
+import os
+import zipfile
+import zlib
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.lib.npyio import NpzFile
+from torch import Tensor
+
+from torchdt.atomic import atomic_write
+from torchdt.errors import InputError
+from torchdt.scenario.recording import Recording, validate
+
+log = logging.getLogger(__name__)
+
+KEYS = tuple(field.name for field in fields(Recording) if field.name != "name")
+
+
+def read_npz(path: str | os.PathLike[str]) -> Recording:
+    """Read and check one recording, or a batch of recordings of equal size.
+
+    Args:
+        path: the file; its stem becomes the name of the recording. Keys that mean nothing here are left
+            out, with a warning in the log.
+
+    Returns:
+        The recording on the CPU. The data keep their precision, complex64 or complex128.
+
+    Raises:
+        InputError: no such file, not a complete `.npz`, or a key that does not fit.
+    """
+    path = Path(path)
+    with _open(path) as archive:
+        unknown = sorted(set(archive.files) - set(KEYS))
+        try:
+            tensors = {key: _tensor(key, archive) for key in KEYS if key in archive.files}
+            recording = validate(**tensors, name=path.stem)
+        except InputError as error:
+            raise InputError(f"path '{path}': {error}") from error
+    if unknown:
+        log.warning("%s: keys without a meaning here are left out: %s", path, ", ".join(unknown))
+    return recording
+
+
+def write_npz(path: str | os.PathLike[str], recording: Recording) -> None:
+    """Write a recording so that `read_npz` gives it back.
+
+    Args:
+        path: where to write, taken as it is: no extension is added. The folder must exist. The file appears
+            only when it is complete.
+        recording: what to write; its name is not stored, the file's name stands for it.
+    """
+    values = {key: getattr(recording, key) for key in KEYS}
+    arrays = {key: np.asarray(_plain(value)) for key, value in values.items() if value is not None}
+    with atomic_write(path) as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def _plain(value: Tensor | float) -> np.ndarray | float:
+    return value.detach().cpu().resolve_conj().numpy() if isinstance(value, Tensor) else value
+
+
+def _open(path: Path) -> NpzFile:
+    expected = "a complete .npz file"
+    try:
+        archive = np.load(path, allow_pickle=False)
+    except OSError as error:
+        raise InputError.of_path(path, (error.strerror or str(error)).lower(), expected) from error
+    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError.of_path(path, "a file of another kind, or part of one", expected) from error
+    if not isinstance(archive, NpzFile):
+        raise InputError.of_path(path, "a single array (.npy)", expected)
+    return archive
+
+
+def _tensor(key: str, archive: NpzFile) -> Tensor:
+    try:
+        array = archive[key]
+    except (ValueError, EOFError, OSError, RuntimeError, zlib.error, zipfile.BadZipFile) as error:
+        raise InputError.of_key(key, f"an array that cannot be read ({error})", "a numeric array") from error
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biufc":
+        found = getattr(array, "dtype", type(array).__name__)
+        raise InputError.of_key(key, found, "a numeric array")
+    if array.dtype.itemsize > (16 if array.dtype.kind == "c" else 8):
+        raise InputError.of_key(key, array.dtype, "double precision at most")
+    # torch has only this machine's byte order, and few unsigned types.
+    dtype = np.dtype("i8") if array.dtype.kind == "u" else array.dtype.newbyteorder("=")
+    return torch.from_numpy(np.asarray(array, dtype=dtype, order="C"))
