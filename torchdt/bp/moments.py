@@ -40,3 +40,18 @@ def without(strength: Tensor, index: Tensor) -> Tensor:
     """
     slots = torch.arange(strength.shape[-2], device=strength.device)
     return torch.where((slots == index[..., None])[..., None], 0.0, strength)
+
+
+def signal_without_each(strength: Tensor, moment: Tensor) -> Tensor:
+    """For every object, the signal covariance of all others.
+
+    Args:
+        strength: `(*batch, N, I)` real.
+        moment: `(*batch, N, I, M, M)` complex.
+
+    Returns:
+        `(*batch, N, I, M, M)` complex Hermitian.
+    """
+    num = strength.shape[-2]
+    others = 1 - torch.eye(num, dtype=moment.dtype, device=moment.device)
+    return torch.einsum("nm,...mikl->...nikl", others, strength[..., None, None] * moment)

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchdt.bp.messages import ObjectBelief, object_belief
-from torchdt.bp.moments import response_moment, signal_covariance, without
+from torchdt.bp.moments import response_moment, signal_covariance, signal_without_each, without
 from torchdt.bp.noise import update_noise
 from torchdt.bp.rank_one import whiten
 from torchdt.model.measurement import Measurement, mask_covariance
@@ -131,10 +131,8 @@ def store(beliefs: Beliefs, index: Tensor, slot: ObjectBelief, power: Tensor, mo
 
 
 def _flooding_sweep(prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs) -> Beliefs:
-    num = beliefs.strength.shape[-2]
-    others = 1 - torch.eye(num, dtype=beliefs.strength.dtype, device=beliefs.strength.device)
-    per_object = Measurement(*(t.unsqueeze(-t_dims) for t, t_dims in zip(measurement, (4, 2, 3), strict=True)))
-    signal = torch.einsum("nm,...mi,...mikl->...nikl", others.to(beliefs.moment.dtype), beliefs.strength.to(beliefs.moment.dtype), beliefs.moment)
+    per_object = measurement.unsqueeze()
+    signal = signal_without_each(beliefs.strength, beliefs.moment)
     whitener = whiten(per_object, mask_covariance(signal, beliefs.noise.mean[..., None, :], per_object.present))
     objects = object_belief(whitener, response, prior.power, as_belief(prior))
     strength = torch.sigmoid(objects.log_odds)[..., None] * weighted_mean(prior.power, objects.log_power_weight)

@@ -35,6 +35,10 @@ class Measurement(NamedTuple):
         """Select one step of a sequence stored as `(*batch, K, I, ...)`."""
         return Measurement(self.factor[..., step, :, :, :], self.count[..., step, :], self.present[..., step, :, :])
 
+    def unsqueeze(self) -> "Measurement":
+        """Add a batch dimension behind `*batch`, to broadcast over objects."""
+        return Measurement(self.factor.unsqueeze(-4), self.count.unsqueeze(-2), self.present.unsqueeze(-3))
+
     def tempered(self, power: Tensor | float) -> "Measurement":
         """Raise the likelihood to a power: an effective number of `power * J` snapshots.
 

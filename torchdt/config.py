@@ -1,0 +1,75 @@
+"""Settings of the tracker, checked once when they are made."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from torchdt.errors import InputError
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """Numbers of the model and the filter; defaults are those of Liang and Meyer, Sec. IV, where they give one.
+
+    Attributes:
+        slots: number N of potential objects carried at most.
+        particles: number P of state particles of each object.
+        power_points: number G of support points of each tone's power.
+        noise_points: number E of support points of each tone's noise variance.
+        power_shape: c_gamma, shape of the Gamma transition of the powers.
+        noise_shape: c_eta, shape of the Gamma transition of the noise variances.
+        survival: p_s, probability to go on existing for one step.
+        birth_mean: mu_B, mean number of new objects per step in the whole region.
+        births: number of cells in which new objects are considered per step, at most.
+        declare: T_dec, existence probability above which an object is reported.
+        prune: T_pru, existence probability below which an object is dropped.
+        sweeps: BP passes over all objects per step.
+        schedule: `sequential` (strongest first) or `flooding`.
+        rounds: rounds of fitting a proposal, at most.
+        round_size: sample size of each round.
+        roughening: kernel width after resampling, in standard deviations of the particle set.
+        resample_below: resample where the effective sample size is below this share of the particles.
+        likelihood_power: power to which the likelihood is raised; below 1 the snapshots count as fewer.
+        power_max: upper limit of the uniform power prior in squared data units; None takes it from the data.
+        noise_max: upper limit of the uniform noise prior in squared data units; None takes it from the data.
+    """
+
+    slots: int = 16
+    particles: int = 1000
+    power_points: int = 16
+    noise_points: int = 64
+    power_shape: float = 1e4
+    noise_shape: float = 1e2
+    survival: float = 0.95
+    birth_mean: float = 1e-4
+    births: int = 10
+    declare: float = 0.5
+    prune: float = 1e-2
+    sweeps: int = 2
+    schedule: str = "sequential"
+    rounds: int = 6
+    round_size: int = 128
+    roughening: float = 0.1
+    resample_below: float = 0.5
+    likelihood_power: float = 1.0
+    power_max: float | None = None
+    noise_max: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("slots", "particles", "power_points", "noise_points", "births", "sweeps", "rounds", "round_size"):
+            self._check(name, "a positive integer", lambda v: isinstance(v, int) and v > 0)
+        for name in ("power_shape", "noise_shape", "birth_mean"):
+            self._check(name, "a positive number", lambda v: 0 < v < float("inf"))
+        for name in ("power_max", "noise_max"):
+            self._check(name, "a positive number or null", lambda v: v is None or 0 < v < float("inf"))
+        for name in ("survival", "declare", "prune"):
+            self._check(name, "a probability strictly between 0 and 1", lambda v: 0 < v < 1)
+        for name in ("roughening", "resample_below"):
+            self._check(name, "a number from 0 to 1", lambda v: 0 <= v <= 1)
+        self._check("likelihood_power", "a number above 0, up to 1", lambda v: 0 < v <= 1)
+        self._check("schedule", "'sequential' or 'flooding'", lambda v: v in ("sequential", "flooding"))
+
+    def _check(self, name: str, expected: str, holds: Callable[[Any], bool]) -> None:
+        value = getattr(self, name)
+        if not holds(value):
+            raise InputError.of_key(f"tracker.{name}", value, expected)

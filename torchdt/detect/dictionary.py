@@ -1,0 +1,65 @@
+"""Responses on a grid, and surfaces over it: Bartlett and likelihood ratio."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdt.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics
+from torchdt.field.base import Field
+from torchdt.model.measurement import Measurement
+from torchdt.model.region import Region
+
+
+class Dictionary(NamedTuple):
+    """Responses at the centres of all birth cells.
+
+    Attributes:
+        points: `(C, d)` positions.
+        response: `(I, C, M)` complex.
+    """
+
+    points: Tensor
+    response: Tensor
+
+
+def build_dictionary(field: Field, region: Region) -> Dictionary:
+    """Evaluate a field on the region's grid of birth cells."""
+    points = region.cell_centres()
+    with torch.no_grad():
+        response = torch.cat([field(part).transpose(0, 1) for part in points.split(4096)], dim=1)
+    return Dictionary(points, response.contiguous())
+
+
+def bartlett_surface(dictionary: Dictionary, measurement: Measurement) -> Tensor:
+    """Conventional beamformer: `mean_i a^H S a / (|a|^2 tr S)`, `(*batch, C)` in [0, 1].
+
+    Each tone counts alike. Tones without data are left out.
+    """
+    response = dictionary.response * measurement.present[..., None, :]
+    output = (response.conj() @ measurement.factor).abs().square().sum(-1)
+    norm = response.abs().square().sum(-1)
+    energy = measurement.factor.abs().square().sum((-2, -1))[..., None]
+    tiny = torch.finfo(output.dtype).tiny
+    heard = (measurement.count > 0).to(output.dtype)[..., None]
+    share = output / (norm * energy).clamp_min(tiny)
+    return (heard * share).sum(-2) / heard.sum(-2).clamp_min(1.0)
+
+
+def likelihood_surface(dictionary: Dictionary, whitener: Whitener) -> Tensor:
+    """Log-likelihood ratio of one more object in each cell, at the best power of each tone, `(*batch, C)`.
+
+    This is the score of multi-frequency matching pursuit with the residual whitened by everything that
+    is already explained, instead of projected off it.
+    """
+    surfaces = [
+        peak_log_likelihood_ratio(count[..., None], *statistics(Whitener(projection, count), dictionary.response))[
+            0
+        ].sum(-2)
+        for projection, count in zip(
+            whitener.projection.reshape(-1, *whitener.projection.shape[-3:]),
+            whitener.count.reshape(-1, whitener.count.shape[-1]),
+            strict=True,
+        )
+    ]
+    return torch.stack(surfaces).reshape(*whitener.count.shape[:-1], -1)

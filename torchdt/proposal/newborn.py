@@ -1,0 +1,153 @@
+"""Proposals for new objects: matching pursuit on what is left unexplained, refined between the cells.
+
+Cells are picked one after another where one more object raises the likelihood most, given the known
+objects, the earlier picks and the noise. Each pick is refined off the grid before the next, since at
+30 dB half a cell beside the peak is enough energy left over for a ghost. Picks stop early when even at
+the peak of the likelihood the posterior existence would stay below the pruning threshold.
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdt.bp.messages import state_message
+from torchdt.bp.moments import signal_without_each
+from torchdt.bp.noise import update_noise
+from torchdt.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics, whiten
+from torchdt.detect.dictionary import Dictionary, likelihood_surface
+from torchdt.field.base import Field
+from torchdt.model.measurement import Measurement, mask_covariance
+from torchdt.model.region import Region
+from torchdt.particles.adaptive import Box, adapt
+from torchdt.proposal.moved import Draws, respond
+from torchdt.state import Noise, Objects
+
+
+class Picks(NamedTuple):
+    """Refined picks, in order of picking.
+
+    Attributes:
+        position: `(*batch, Q, d)`.
+        power: `(*batch, Q, I)` the best power of each tone; zero where inactive.
+        response: `(*batch, Q, I, M)` complex.
+        active: `(*batch, Q)` bool.
+    """
+
+    position: Tensor
+    power: Tensor
+    response: Tensor
+    active: Tensor
+
+
+def search(
+    field: Field,
+    region: Region,
+    dictionary: Dictionary,
+    measurement: Measurement,
+    signal: Tensor,
+    noise: Noise,
+    free: Tensor,
+    threshold: float,
+    rounds: Tensor,
+) -> tuple[Picks | None, Noise]:
+    """Pick cells and refine them.
+
+    Args:
+        measurement: statistics of the step, batch `(*batch,)`.
+        signal: `(*batch, I, M, M)` covariance of the known objects.
+        noise: predicted noise belief.
+        free: `(*batch,)` int64, how many new objects there is room for.
+        threshold: smallest log-likelihood ratio at its peak that is worth a new object.
+        rounds: `(*batch, Q, rounds, S, d)` standard normal draws; Q is the largest number of picks.
+
+    Returns:
+        The picks, as many as any batch element needs (None if no element needs any), and the noise belief
+        with the known objects and the picks explained.
+    """
+    belief = update_noise(noise, measurement, signal)
+    found: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
+    for pick in range(rounds.shape[-4]):
+        whitener = whiten(measurement, mask_covariance(signal, belief.mean, measurement.present))
+        score, cell = likelihood_surface(dictionary, whitener).max(-1)
+        active = (score > threshold) & (pick < free)
+        if not bool(active.any()):
+            break
+        position = _refine(field, region, whitener, dictionary.points[cell], rounds[..., pick, :, :, :])
+        response = respond(field, position[..., None, :])
+        s, q = statistics(whitener, response)
+        _, power = peak_log_likelihood_ratio(whitener.count, s[..., 0], q[..., 0])
+        power = torch.where(active[..., None], power, 0.0)
+        outer = response.mT @ response.conj()
+        signal = signal + power[..., None, None] * outer
+        belief = update_noise(noise, measurement, signal)
+        found.append((position, power, response[..., 0, :], active))
+    if not found:
+        return None, belief
+    dim = free.ndim
+    position, power, response, active = (torch.stack(parts, dim) for parts in zip(*found, strict=True))
+    return Picks(position, power, response, active), belief
+
+
+def _refine(field: Field, region: Region, whitener: Whitener, centre: Tensor, rounds: Tensor) -> Tensor:
+    """Peak of the likelihood within a cell of the picked one, `(*batch, d)`."""
+
+    def peak(position: Tensor) -> Tensor:
+        s, q = statistics(whitener, respond(field, position))
+        return peak_log_likelihood_ratio(whitener.count[..., None], s, q)[0].sum(-2)
+
+    around = Box((centre - region.cell).clamp_min(region.low), (centre + region.cell).clamp_max(region.high))
+    return adapt(peak, around, rounds.movedim(-3, 0)).fitted.mean
+
+
+def propose_newborn(
+    field: Field,
+    region: Region,
+    measurement: Measurement,
+    signal: Tensor,
+    picks: Picks,
+    noise: Noise,
+    power_prior: tuple[Tensor, Tensor],
+    log_odds: float,
+    draws: Draws,
+) -> tuple[Objects, Tensor]:
+    """New objects in one cell around each pick, with particles where prior and likelihood meet.
+
+    The prior is uniform in position over the cell and in the rates; positions come from a proposal
+    fitted to prior times likelihood, given the other picks, and are weighted by prior over proposal.
+
+    Args:
+        signal: `(*batch, I, M, M)` covariance of the known objects.
+        noise: noise belief with known objects and picks explained.
+        power_prior: support points and log-weights `(*batch, I, G)`.
+        log_odds: prior log-odds of an object in one cell.
+        draws: at least as many as picks.
+
+    Returns:
+        Objects of batch `(*batch, Q)` (log-odds minus infinity where a pick is inactive) and their
+        responses `(*batch, Q, I, P, M)`.
+    """
+    num = picks.active.shape[-1]
+    rounds, final = draws.rounds[..., :num, :, :, :], draws.final[..., :num, :, :]
+    power, log_power_weight = (t.unsqueeze(-3).expand(*picks.power.shape, -1) for t in power_prior)
+    outer = picks.response[..., :, None] * picks.response[..., None, :].conj()
+    others = signal.unsqueeze(-4) + signal_without_each(picks.power, outer)
+    per_pick = measurement.unsqueeze()
+    whitener = whiten(per_pick, mask_covariance(others, noise.mean[..., None, :], per_pick.present))
+    centre = picks.position.clamp(region.low + region.cell / 2, region.high - region.cell / 2)
+    prior = Box(centre - region.cell / 2, centre + region.cell / 2)
+
+    def log_likelihood(position: Tensor) -> Tensor:
+        return state_message(whitener, respond(field, position), power, log_power_weight)
+
+    mixture = adapt(log_likelihood, prior, rounds.movedim(-3, 0))
+    d = region.num_coordinates
+    position = mixture.sample(final[..., :d])
+    rate = region.rate_low + (region.rate_high - region.rate_low) * torch.special.ndtr(final[..., d:])
+    log_weight = prior.log_prob(position) - mixture.log_prob(position) - math.log(final.shape[-2])
+    state = torch.cat([position, rate], -1)
+    odds = torch.where(picks.active, torch.full_like(picks.position[..., 0], log_odds), -torch.inf)
+    label = torch.zeros(picks.active.shape, dtype=torch.int64, device=state.device)
+    return Objects(state, log_weight, power, log_power_weight, odds, label), respond(field, state)
+
