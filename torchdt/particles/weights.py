@@ -1,5 +1,7 @@
 """Log-weights of particle sets."""
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -14,10 +16,14 @@ def normalise(log_weight: Tensor) -> tuple[Tensor, Tensor]:
         Normalised log-weights `(*batch, P)` and the log of their former sum `(*batch,)`. Where every
         weight is zero the sum is minus infinity and the weights become uniform.
     """
-    total = torch.logsumexp(log_weight, -1)
-    none = total.isneginf()[..., None]
-    uniform = torch.zeros_like(log_weight) - torch.log(torch.tensor(float(log_weight.shape[-1])))
-    return torch.where(none, uniform, log_weight - torch.where(none, 0.0, total[..., None])), total
+    top = log_weight.amax(-1, keepdim=True)
+    none = top.isneginf()
+    # Log-likelihoods of 1e5 and more have rounding errors of percents: take the largest off before the
+    # sum, or the weights would not add up to one.
+    shifted = torch.where(none, 0.0, log_weight - torch.where(none, 0.0, top))
+    log_sum = torch.logsumexp(shifted, -1, keepdim=True)
+    total = torch.where(none, -torch.inf, top + log_sum)
+    return shifted - log_sum, total.squeeze(-1)
 
 
 def effective_sample_size(log_weight: Tensor) -> Tensor:
@@ -31,3 +37,8 @@ def mean_and_covariance(points: Tensor, log_weight: Tensor) -> tuple[Tensor, Ten
     mean = (weight * points).sum(-2)
     centred = points - mean[..., None, :]
     return mean, (weight * centred).mT @ centred
+
+
+def uniform_log_weight(like: Tensor) -> Tensor:
+    """Equal normalised log-weights of the shape of `like`, `(*batch, P)`."""
+    return torch.full_like(like, -math.log(like.shape[-1]))
