@@ -7,7 +7,7 @@ from typing import Any
 from torchdt.errors import InputError
 
 
-@dataclass(frozen=True)
+@dataclass
 class TrackerConfig:
     """Numbers of the model and the filter; defaults are those of Liang and Meyer, Sec. IV, where they give one.
 
@@ -56,7 +56,16 @@ class TrackerConfig:
     noise_max: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("slots", "particles", "power_points", "noise_points", "births", "sweeps", "rounds", "round_size"):
+        for name in (
+            "slots",
+            "particles",
+            "power_points",
+            "noise_points",
+            "births",
+            "sweeps",
+            "rounds",
+            "round_size",
+        ):
             self._check(name, "a positive integer", lambda v: isinstance(v, int) and v > 0)
         for name in ("power_shape", "noise_shape", "birth_mean"):
             self._check(name, "a positive number", lambda v: 0 < v < float("inf"))

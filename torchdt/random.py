@@ -24,7 +24,9 @@ class RandomStreams:
 
     def __init__(self, generators: Sequence[Generator], batch_shape: Sequence[int], dtype: torch.dtype):
         if len(generators) != math.prod(batch_shape):
-            raise ValueError(f"generators: found {len(generators)}, expected {math.prod(batch_shape)}, one a sequence")
+            raise ValueError(
+                f"generators: found {len(generators)}, expected {math.prod(batch_shape)}, one a sequence"
+            )
         self.generators = list(generators)
         self.batch_shape = tuple(batch_shape)
         self.dtype = dtype

@@ -115,13 +115,29 @@ class DirectTracker:
         signal = signal_covariance(beliefs.strength, beliefs.moment)
         free = cfg.slots - known.log_odds.isfinite().sum(-1)
         picks, explained = search(
-            self.field, self.region, self.dictionary, measurement, signal, noise, free, self.pick_threshold, explore
+            self.field,
+            self.region,
+            self.dictionary,
+            measurement,
+            signal,
+            noise,
+            free,
+            self.pick_threshold,
+            explore,
         )
         beliefs = beliefs._replace(noise=explained)
         if picks is not None:
             power_prior = uniform_prior(priors.power_max, cfg.power_points)
             new, new_response = propose_newborn(
-                self.field, self.region, measurement, signal, picks, explained, power_prior, self.birth_log_odds, born
+                self.field,
+                self.region,
+                measurement,
+                signal,
+                picks,
+                explained,
+                power_prior,
+                self.birth_log_odds,
+                born,
             )
             beliefs = _join_beliefs(beliefs, initial_beliefs(new, new_response, explained))
             known = Objects(*_join(known, new, picks.active.ndim - 1))
@@ -153,7 +169,12 @@ class DirectTracker:
         return moved, born, streams.normal(cfg.births, *size)
 
     def _conclude(
-        self, prior: Objects, beliefs: Beliefs, old: TrackerState, log_evidence: Tensor, streams: RandomStreams
+        self,
+        prior: Objects,
+        beliefs: Beliefs,
+        old: TrackerState,
+        log_evidence: Tensor,
+        streams: RandomStreams,
     ) -> tuple[TrackerState, TrackHistory]:
         """Prune, label, estimate and resample."""
         cfg = self.config
@@ -191,7 +212,9 @@ class DirectTracker:
         if missing > 0:
             blank = empty._replace(log_odds=torch.full_like(empty.log_odds, -torch.inf))
             blank = blank._replace(label=torch.zeros_like(empty.label))
-            filler = _select(blank, torch.arange(missing, device=empty.label.device).expand(*empty.label.shape[:-1], -1))
+            filler = _select(
+                blank, torch.arange(missing, device=empty.label.device).expand(*empty.label.shape[:-1], -1)
+            )
             objects = Objects(*_join(objects, filler, objects.log_odds.ndim - 1))
         return _select(objects, strongest_first(_strength(objects))[..., : self.config.slots])
 

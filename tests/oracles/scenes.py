@@ -53,7 +53,10 @@ def make_scene(
         z = z + amplitude * steering(np.array([bearing]))[0][:, None, :]
     grids = [np.linspace(low, high, NUM_STATES) for low, high in regions]
     power = np.tile(np.geomspace(0.25, 16.0, num_power), (NUM_TONES, 1))
-    noise = np.tile(noise_variance * np.geomspace(0.7, 1.4, num_noise) if num_noise > 1 else [noise_variance], (NUM_TONES, 1))
+    noise = np.tile(
+        noise_variance * np.geomspace(0.7, 1.4, num_noise) if num_noise > 1 else [noise_variance],
+        (NUM_TONES, 1),
+    )
     responses = [steering(g) for g in grids]
     uniform = np.full(NUM_STATES, -np.log(NUM_STATES))
     log_power, log_noise = np.full_like(power, -np.log(num_power)), np.full_like(noise, -np.log(num_noise))

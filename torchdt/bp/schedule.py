@@ -107,7 +107,9 @@ def background(beliefs: Beliefs, strength: Tensor, measurement: Measurement) -> 
     return mask_covariance(signal, beliefs.noise.mean, measurement.present)
 
 
-def _sequential_sweep(prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs) -> Beliefs:
+def _sequential_sweep(
+    prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs
+) -> Beliefs:
     order = strongest_first(beliefs.strength)
     # Empty slots sort last and have nothing to say; how many there are differs across the batch.
     for visit in range(int(prior.log_odds.isfinite().sum(-1).max())):
@@ -133,7 +135,13 @@ def store(beliefs: Beliefs, index: Tensor, slot: ObjectBelief, power: Tensor, mo
 def _flooding_sweep(prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs) -> Beliefs:
     per_object = measurement.unsqueeze()
     signal = signal_without_each(beliefs.strength, beliefs.moment)
-    whitener = whiten(per_object, mask_covariance(signal, beliefs.noise.mean[..., None, :], per_object.present))
+    whitener = whiten(
+        per_object, mask_covariance(signal, beliefs.noise.mean[..., None, :], per_object.present)
+    )
     objects = object_belief(whitener, response, prior.power, as_belief(prior))
-    strength = torch.sigmoid(objects.log_odds)[..., None] * weighted_mean(prior.power, objects.log_power_weight)
-    return beliefs._replace(objects=objects, moment=response_moment(response, objects.log_weight), strength=strength)
+    strength = torch.sigmoid(objects.log_odds)[..., None] * weighted_mean(
+        prior.power, objects.log_power_weight
+    )
+    return beliefs._replace(
+        objects=objects, moment=response_moment(response, objects.log_weight), strength=strength
+    )

@@ -53,9 +53,9 @@ def likelihood_surface(dictionary: Dictionary, whitener: Whitener) -> Tensor:
     is already explained, instead of projected off it.
     """
     surfaces = [
-        peak_log_likelihood_ratio(count[..., None], *statistics(Whitener(projection, count), dictionary.response))[
-            0
-        ].sum(-2)
+        peak_log_likelihood_ratio(
+            count[..., None], *statistics(Whitener(projection, count), dictionary.response)
+        )[0].sum(-2)
         for projection, count in zip(
             whitener.projection.reshape(-1, *whitener.projection.shape[-3:]),
             whitener.count.reshape(-1, whitener.count.shape[-1]),

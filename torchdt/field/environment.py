@@ -150,7 +150,7 @@ def combine_eofs(
     table = np.asarray(eofs, dtype=float)
     if table.ndim != 2 or len(table) != len(depths) or table.shape[1] < len(coefficients):
         raise ValueError(
-            f"eofs has shape {table.shape}; expected {len(depths)} rows and {len(coefficients)} or more columns"
+            f"eofs has shape {table.shape}; expected {len(depths)} rows, {len(coefficients)} columns or more"
         )
     delta = table[:, : len(coefficients)] @ np.asarray(coefficients, dtype=float)
     return _as_knots("depths", list(zip(depths, delta.tolist(), strict=True)))

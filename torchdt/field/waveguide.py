@@ -13,8 +13,9 @@ from torchdt.field.modes import ModeTable, solve_modes
 
 MIN_RANGE = 1.0
 MIN_DEPTH = 0.01
-# States evaluated at a time: keeps the work space of a chunk in the processor's cache.
-_CHUNK = 1024
+# States evaluated at a time: few on a CPU, to keep the work space in its cache, many elsewhere.
+_CHUNK_CPU = 2048
+_CHUNK_DEVICE = 65536
 # Smallest squared norm to divide by: far below that of any real field, and its power -3/2 is still finite.
 _MIN_POWER = 1e-20
 
@@ -51,10 +52,10 @@ class NormalModeField(nn.Module):
     num_coordinates = 2
     _shapes: Tensor  # (2 G, N): rows alternate between mode functions and their slopes times the grid step
     _loss: Tensor  # (N,) attenuation, Np/m
-    _cycles: Tensor  # (N,) wavenumber / 2 pi, float64
+    _cycles: Tensor  # (N,) minus wavenumber / 2 pi, 1/m, float64
     _receivers: Tensor  # (N, M) mode functions at the sensors over sqrt(kr), float64
-    _offsets: Tensor  # (M,) heights above the deepest sensor, m, float64
-    _folded: Tensor  # (N, M) complex receivers of the tilted array
+    _heights: Tensor  # (M,) sensors above the deepest one, m, float64
+    _folded: Tensor | None  # (2 N, 2 M) receivers of the tilted array, see `_fold`; None: tilt is a tensor
 
     def __init__(
         self,
@@ -84,19 +85,103 @@ class NormalModeField(nn.Module):
 
         tables = [solve_modes(environment, float(f), max_phase_speed) for f in freqs]
         self._num_modes = [len(table.wavenumber) for table in tables]
-        self._num_cells = len(tables[0].depth) - 1
         wavenumber = torch.cat([torch.tensor(table.wavenumber) for table in tables])
-        loss = torch.cat([torch.tensor(table.attenuation) for table in tables])
         depths = torch.tensor(list(sensor_depths), dtype=torch.float64)
         shapes = torch.cat([_interleave(table) for table in tables], dim=1)
-        receivers = self._interpolate(shapes, depths) / wavenumber.sqrt()
         real = dtype or torch.get_default_dtype()
         for name, value, kind in (
             ("_shapes", shapes, real),
-            ("_loss", loss, real),
-            ("_cycles", wavenumber / (2 * math.pi), torch.float64),
-            ("_receivers", receivers.T.contiguous(), torch.float64),
-            ("_offsets", depths.max() - depths, torch.float64),
+            ("_loss", torch.cat([torch.tensor(table.attenuation) for table in tables]), real),
+            ("_cycles", -wavenumber / (2 * math.pi), torch.float64),
+            ("_receivers", (_interpolate(shapes, depths / bottom) / wavenumber.sqrt()).T, torch.float64),
+            ("_heights", depths.max() - depths, torch.float64),
         ):
             self.register_buffer(name, value.to(device, kind), persistent=False)
-        ...
+        folded = None if isinstance(tilt, Tensor) else self._fold()
+        self.register_buffer("_folded", folded, persistent=False)
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        # A change of type, as by `module.float()`, must not reach what is float64 on purpose.
+        exact = {name: getattr(self, name) for name in ("_cycles", "_receivers", "_heights")}
+        super()._apply(fn, recurse)
+        for name, value in exact.items():
+            setattr(self, name, value.to(self._shapes.device))
+        return self
+
+    def forward(self, state: Tensor) -> Tensor:
+        """Evaluate the response.
+
+        Args:
+            state: `(*batch, D)` real, `D >= 2`: range m, depth m, ...
+
+        Returns:
+            `(*batch, I, M)` complex.
+
+        Raises:
+            ValueError: if `state` has fewer than two entries or another type than the buffers.
+        """
+        if state.ndim == 0 or state.shape[-1] < 2 or state.dtype != self._shapes.dtype:
+            raise ValueError(
+                f"state has shape {tuple(state.shape)} and type {state.dtype}; "
+                f"expected (*batch, 2 or more) of {self._shapes.dtype}"
+            )
+        folded = self._fold() if self._folded is None else self._folded
+        receivers = folded.split([2 * n for n in self._num_modes])
+        chunk_size = _CHUNK_CPU if state.device.type == "cpu" else _CHUNK_DEVICE
+        chunks = state[..., :2].reshape(-1, 2).split(chunk_size)
+        response = torch.cat([self._respond(chunk, receivers) for chunk in chunks])
+        response = response.reshape(*state.shape[:-1], self.num_tones, self.num_sensors, 2)
+        return torch.view_as_complex(response)
+
+    def _respond(self, position: Tensor, receivers: Sequence[Tensor]) -> Tensor:
+        """`(S, 2)` positions to `(S, I, 2 M)` responses, real and imaginary parts alternating."""
+        distance = position[:, 0].clamp(min=MIN_RANGE)
+        depth = position[:, 1].clamp(MIN_DEPTH, self.water_depth)
+        cycles = (distance.double()[:, None] * self._cycles).frac_()
+        phase = 2 * math.pi * cycles.to(position.dtype)
+        amplitude = _interpolate(self._shapes, depth / self.water_depth)
+        amplitude = amplitude * torch.exp(-distance[:, None] * self._loss)
+        modes = torch.stack([amplitude * torch.cos(phase), amplitude * torch.sin(phase)], dim=-1).flatten(1)
+        parts = modes.split([len(rows) for rows in receivers], dim=1)
+        response = torch.stack([part @ rows for part, rows in zip(parts, receivers, strict=True)], dim=1)
+        if self.normalize:
+            power = response.square().sum(-1, keepdim=True)
+            return response * power.clamp(min=_MIN_POWER).rsqrt()
+        return response * distance.rsqrt()[:, None, None]
+
+    def _fold(self) -> Tensor:
+        """Receivers with `exp(i k_n (r - r_m))`, as real matrices that multiply (real, imaginary) pairs."""
+        tilt = torch.as_tensor(self.tilt, dtype=torch.float64, device=self._heights.device)
+        nearer = torch.tan(torch.deg2rad(tilt)) * self._heights
+        phase = -2 * math.pi * self._cycles[:, None] * nearer
+        gain = self._receivers * torch.exp(self._loss.double()[:, None] * nearer)
+        real, imag = gain * torch.cos(phase), gain * torch.sin(phase)
+        rows = torch.stack([torch.stack([real, imag], dim=-1), torch.stack([-imag, real], dim=-1)], dim=1)
+        return rows.reshape(2 * len(real), -1).to(self._shapes.dtype)
+
+
+def _interleave(table: ModeTable) -> Tensor:
+    """`(2 G, N)` mode functions and slopes times the grid step, row by row in turn."""
+    step = table.depth[1] - table.depth[0]
+    pair = torch.stack([torch.tensor(table.psi), torch.tensor(table.slope * step)], dim=1)
+    return pair.flatten(0, 1)
+
+
+def _interpolate(shapes: Tensor, fraction: Tensor) -> Tensor:
+    """Cubic Hermite interpolation, once continuously differentiable.
+
+    Args:
+        shapes: `(2 G, N)` of `_interleave`.
+        fraction: `(S,)` depths as fractions of the grid's depth, 0 to 1.
+
+    Returns:
+        `(S, N)` mode functions.
+    """
+    num_cells = len(shapes) // 2 - 1
+    position = fraction * num_cells
+    cell = position.detach().long().clamp(0, num_cells - 1)
+    t = position - cell
+    u = 1 - t
+    weights = torch.stack([(1 + 2 * t) * u * u, t * u * u, (1 + 2 * u) * t * t, -u * t * t], dim=-1)
+    rows = 2 * cell[:, None] + torch.arange(4, device=cell.device)
+    return functional.embedding_bag(rows, shapes, per_sample_weights=weights, mode="sum")

@@ -33,7 +33,9 @@ class Measurement(NamedTuple):
 
     def at(self, step: int) -> "Measurement":
         """Select one step of a sequence stored as `(*batch, K, I, ...)`."""
-        return Measurement(self.factor[..., step, :, :, :], self.count[..., step, :], self.present[..., step, :, :])
+        return Measurement(
+            self.factor[..., step, :, :, :], self.count[..., step, :], self.present[..., step, :, :]
+        )
 
     def unsqueeze(self) -> "Measurement":
         """Add a batch dimension behind `*batch`, to broadcast over objects."""

@@ -39,7 +39,9 @@ def data_scale(data: Tensor, is_covariance: bool) -> Tensor:
     largest = power.nan_to_num(nan=0.0).flatten(-4 + is_covariance).amax(-1)
     heard = (~power.isnan()).flatten(-4 + is_covariance).any(-1)
     if bool((heard & (largest <= 0)).any()):
-        raise InputError.of_key("covariance" if is_covariance else "snapshots", "only zeros", "a signal or noise")
+        raise InputError.of_key(
+            "covariance" if is_covariance else "snapshots", "only zeros", "a signal or noise"
+        )
     largest = torch.where(heard, largest, 1.0)
     relative = power / largest.reshape(*largest.shape, *(1 for _ in range(power.ndim - largest.ndim)))
     square = relative if is_covariance else relative.square()

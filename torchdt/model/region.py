@@ -31,16 +31,22 @@ class Coordinate:
 
     def __post_init__(self) -> None:
         if not self.low < self.high:
-            raise ValueError(f"coordinate {self.name}: found low {self.low}, high {self.high}, expected low < high")
+            raise ValueError(
+                f"coordinate {self.name}: found low {self.low}, high {self.high}, expected low < high"
+            )
         if not self.rate_low < self.rate_high:
             raise ValueError(
                 f"coordinate {self.name}: found rate_low {self.rate_low}, rate_high {self.rate_high}, "
                 "expected rate_low < rate_high"
             )
         if not 0 < self.cell <= self.high - self.low:
-            raise ValueError(f"coordinate {self.name}: found cell {self.cell}, expected at most the region's width")
+            raise ValueError(
+                f"coordinate {self.name}: found cell {self.cell}, expected at most the region's width"
+            )
         if not self.driving_variance > 0:
-            raise ValueError(f"coordinate {self.name}: found driving_variance {self.driving_variance}, expected > 0")
+            raise ValueError(
+                f"coordinate {self.name}: found driving_variance {self.driving_variance}, expected > 0"
+            )
 
     @property
     def num_cells(self) -> int:

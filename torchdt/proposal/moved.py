@@ -70,7 +70,11 @@ def propose_adapted(
             return state_message(whitener, respond(field, position), power, slot_prior.log_power_weight)  # noqa: B023
 
         state, log_weight = _draw(
-            log_likelihood, take(mean, index), take(covariance, index), take(draws.rounds, index), take(draws.final, index)
+            log_likelihood,
+            take(mean, index),
+            take(covariance, index),
+            take(draws.rounds, index),
+            take(draws.final, index),
         )
         log_weight = torch.where(region.contains(state), log_weight, -torch.inf)
         response = respond(field, state)
@@ -87,7 +91,11 @@ def propose_adapted(
 
 
 def _draw(
-    log_likelihood: Callable[[Tensor], Tensor], mean: Tensor, covariance: Tensor, rounds: Tensor, final: Tensor
+    log_likelihood: Callable[[Tensor], Tensor],
+    mean: Tensor,
+    covariance: Tensor,
+    rounds: Tensor,
+    final: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """Particles of one object per batch element and their log prior over proposal, over P."""
     d = mean.shape[-1] // 2

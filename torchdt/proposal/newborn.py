@@ -150,4 +150,3 @@ def propose_newborn(
     odds = torch.where(picks.active, torch.full_like(picks.position[..., 0], log_odds), -torch.inf)
     label = torch.zeros(picks.active.shape, dtype=torch.int64, device=state.device)
     return Objects(state, log_weight, power, log_power_weight, odds, label), respond(field, state)
-

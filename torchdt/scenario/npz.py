@@ -10,6 +10,7 @@ import zipfile
 import zlib
 from dataclasses import fields
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import torch
@@ -22,6 +23,7 @@ from torchdt.scenario.recording import Recording, validate
 
 log = logging.getLogger(__name__)
 
+EXPECTED = "a complete .npz file"
 KEYS = tuple(field.name for field in fields(Recording) if field.name != "name")
 
 
@@ -39,15 +41,15 @@ def read_npz(path: str | os.PathLike[str]) -> Recording:
         InputError: no such file, not a complete `.npz`, or a key that does not fit.
     """
     path = Path(path)
-    with _open(path) as archive:
+    with _open(path) as file, _archive(path, file) as archive:
         unknown = sorted(set(archive.files) - set(KEYS))
+        if unknown:
+            log.warning("%s: keys without a meaning here are left out: %s", path, ", ".join(unknown))
         try:
             tensors = {key: _tensor(key, archive) for key in KEYS if key in archive.files}
             recording = validate(**tensors, name=path.stem)
         except InputError as error:
             raise InputError(f"path '{path}': {error}") from error
-    if unknown:
-        log.warning("%s: keys without a meaning here are left out: %s", path, ", ".join(unknown))
     return recording
 
 
@@ -69,16 +71,20 @@ def _plain(value: Tensor | float) -> np.ndarray | float:
     return value.detach().cpu().resolve_conj().numpy() if isinstance(value, Tensor) else value
 
 
-def _open(path: Path) -> NpzFile:
-    expected = "a complete .npz file"
+def _open(path: Path) -> BinaryIO:
     try:
-        archive = np.load(path, allow_pickle=False)
+        return path.open("rb")
     except OSError as error:
-        raise InputError.of_path(path, (error.strerror or str(error)).lower(), expected) from error
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError.of_path(path, "a file of another kind, or part of one", expected) from error
+        raise InputError.of_path(path, (error.strerror or str(error)).lower(), EXPECTED) from error
+
+
+def _archive(path: Path, file: BinaryIO) -> NpzFile:
+    try:
+        archive = np.load(file, allow_pickle=False)
+    except (ValueError, EOFError, OSError, NotImplementedError, zipfile.BadZipFile) as error:
+        raise InputError.of_path(path, "a file of another kind, or part of one", EXPECTED) from error
     if not isinstance(archive, NpzFile):
-        raise InputError.of_path(path, "a single array (.npy)", expected)
+        raise InputError.of_path(path, "a single array (.npy)", EXPECTED)
     return archive
 
 

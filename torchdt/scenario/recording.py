@@ -129,7 +129,7 @@ def validate(
     if snapshots is not None:
         snapshots = data = _complex("snapshots", snapshots, SNAPSHOTS_SHAPE)
     elif covariance is not None:
-        covariance = data = _complex("covariance", covariance, COVARIANCE_SHAPE)
+        covariance = data = _complex("covariance", covariance, COVARIANCE_SHAPE, square=True)
         _check_covariance(covariance)
     else:
         raise InputError.of_key("snapshots", "neither snapshots nor covariance", "one of the two")
@@ -169,12 +169,14 @@ def _scalar(key: str, value: Tensor | float, expected: str) -> float:
     return value.item()
 
 
-def _complex(key: str, value: Tensor, shape: str) -> Tensor:
+def _complex(key: str, value: Tensor, shape: str, square: bool = False) -> Tensor:
     """Data with a batch dimension, checked for all that snapshots and covariances share."""
     if not value.is_complex():
         raise InputError.of_key(key, value.dtype, f"complex numbers of shape {shape}")
     if value.dim() not in (4, 5) or value.numel() == 0:
         raise InputError.of_key(key, f"shape {tuple(value.shape)}", f"{shape}, none of them zero")
+    if square and value.shape[-2] != value.shape[-1]:
+        raise InputError.of_key(key, f"shape {tuple(value.shape)}", shape)
     _check_not_infinite(key, value)
     return value if value.dim() == 5 else value[None]
 
@@ -218,8 +220,6 @@ def _check_not_infinite(key: str, value: Tensor) -> None:
 
 def _check_covariance(covariance: Tensor) -> None:
     """Check `(B, K, I, M, M)` for matrices that no set of snapshots can have, missing channels left out."""
-    if covariance.shape[-2] != covariance.shape[-1]:
-        raise InputError.of_key("covariance", f"shape {tuple(covariance.shape)}", COVARIANCE_SHAPE)
     missing = covariance.isnan()
     matrix = torch.where(missing, 0, covariance.to(torch.complex128))
     tolerance = HERMITIAN_TOLERANCE * matrix.abs().amax((-2, -1))

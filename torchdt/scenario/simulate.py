@@ -1,78 +1,81 @@
 """Array snapshots of simulated sources in noise."""
 
 import math
-from dataclasses import dataclass
-from typing import Literal
 
 import torch
+from scipy.interpolate import CubicSpline
 from torch import Generator, Tensor
 
 from torchdt.field.base import Field
+from torchdt.scenario.settings import PathSettings, ScenarioSettings, SourceSettings
 
-Amplitudes = Literal["gaussian", "constant_modulus"]
 
-
-@dataclass(frozen=True, eq=False)
-class SourceTrack:
-    """One simulated source.
-
-    Attributes:
-        position: `(K, d)` float64; NaN while the source is absent.
-        power: linear, relative to a source of 0 dB.
-        silent: `(K,)` bool, steps in which it is there but sends nothing.
-        frozen: repeat one step's snapshots in every step.
-    """
-
-    position: Tensor
-    power: float
-    silent: Tensor
-    frozen: bool
+def source_track(source: SourceSettings, path: PathSettings, num_steps: int, step_s: float) -> Tensor:
+    """Position of a source in every step, `(K, d)` float64, NaN while it is absent."""
+    times = torch.arange(num_steps, dtype=torch.float64) * step_s
+    if source.frozen_step is not None:
+        times = torch.full_like(times, source.frozen_step * step_s)
+    knots = torch.tensor(path.positions, dtype=torch.float64)
+    if len(knots) >= 3:
+        position = torch.from_numpy(CubicSpline(path.times_s, knots.numpy())(times.numpy()))
+    elif len(knots) == 2:
+        share = (times - path.times_s[0]) / (path.times_s[1] - path.times_s[0])
+        position = torch.lerp(knots[0], knots[1], share[:, None])
+    else:
+        position = knots.expand(num_steps, -1).clone()
+    position[: source.birth] = torch.nan
+    if source.death is not None:
+        position[source.death :] = torch.nan
+    return position
 
 
 def simulate_snapshots(
-    field: Field,
-    sources: list[SourceTrack],
-    *,
-    num_snapshots: int,
-    noise_variance: float,
-    amplitudes: Amplitudes,
-    phase_step_deg: float,
-    generator: Generator,
-) -> Tensor:
+    field: Field, scenario: ScenarioSettings, generator: Generator
+) -> tuple[Tensor, Tensor]:
     """Draw `z = sum_l rho_l a(x_l) + noise` of one sequence (Liang and Meyer, eq. 1).
+
+    The noise variance follows from the signal-to-noise ratio: a source of 0 dB and unit-norm response has
+    the power 1 / M per element.
 
     Args:
         field: response in float64.
-        sources: at least none; all of the same number of steps K.
-        num_snapshots: J per step.
-        noise_variance: eta; with no sources and eta = 1 a unit noise recording.
-        amplitudes: `gaussian`, independent from snapshot to snapshot, or `constant_modulus`, as a projector
-            sends them: the phase walks by a normal step of `phase_step_deg` per snapshot.
-        phase_step_deg: standard deviation of that step, degrees.
+        scenario: what to simulate.
         generator: random numbers.
 
     Returns:
-        `(K, I, J, M)` complex128.
+        Snapshots `(K, I, J, M)` complex128 and true positions `(K, L, d)` float64, NaN while absent.
     """
-    num_steps = sources[0].position.shape[0]
-    shape = (num_steps, field.num_tones, num_snapshots)
+    shape = (scenario.num_steps, field.num_tones, scenario.num_snapshots)
+    noise_variance = 10 ** (-scenario.snr_db / 10) / field.num_sensors
     snapshots = math.sqrt(noise_variance) * _complex_normal((*shape, field.num_sensors), generator)
-    for source in sources:
-        if amplitudes == "gaussian":
-            rho = _complex_normal(shape, generator)
-        else:
-            walk = torch.randn(shape, generator=generator, dtype=torch.float64) * math.radians(phase_step_deg)
-            start = 2 * math.pi * torch.rand(shape[1], generator=generator, dtype=torch.float64)
-            # Snapshots follow one another within a step, steps follow one another per tone.
-            phase = walk.transpose(0, 1).flatten(1).cumsum(-1) + start[:, None]
-            rho = torch.polar(torch.ones_like(phase), phase).reshape(shape[1], num_steps, -1).transpose(0, 1)
-        if source.frozen:
+    truth = torch.full(
+        (scenario.num_steps, len(scenario.sources), len(scenario.coordinates)), torch.nan
+    ).double()
+    for index, source in enumerate(scenario.sources.values()):
+        truth[:, index] = position = source_track(
+            source, scenario.paths[source.path], scenario.num_steps, scenario.step_s
+        )
+        sending = ~position.isnan().any(-1)
+        for first, last in source.silences:
+            sending[first : last + 1] = False
+        rho = _amplitudes(scenario, shape, generator)
+        if source.frozen_step is not None:
             rho = rho[:1].expand(shape)
-        present = ~source.position.isnan().any(-1) & ~source.silent
-        response = field(torch.where(present[:, None], source.position, 1.0))
-        signal = math.sqrt(source.power) * rho[..., None] * response[..., None, :]
-        snapshots = snapshots + torch.where(present[:, None, None, None], signal, 0.0)
-    return snapshots
+        response = field(torch.where(sending[:, None], position, 1.0))
+        signal = 10 ** (source.power_db / 20) * rho[..., None] * response[..., None, :]
+        snapshots = snapshots + torch.where(sending[:, None, None, None], signal, 0.0)
+    return snapshots, truth
+
+
+def _amplitudes(scenario: ScenarioSettings, shape: tuple[int, int, int], generator: Generator) -> Tensor:
+    """Unit-power amplitudes `(K, I, J)`."""
+    if scenario.amplitudes == "gaussian":
+        return _complex_normal(shape, generator)
+    num_steps, num_tones, num_snapshots = shape
+    walk = torch.randn(num_tones, num_steps * num_snapshots, generator=generator, dtype=torch.float64)
+    start = 2 * math.pi * torch.rand(num_tones, 1, generator=generator, dtype=torch.float64)
+    phase = start + math.radians(scenario.phase_step_deg) * walk.cumsum(-1)
+    return torch.polar(torch.ones_like(phase), phase).reshape(num_tones, num_steps, -1).transpose(0, 1)
 
 
 def _complex_normal(shape: tuple[int, ...], generator: Generator) -> Tensor:

@@ -1,0 +1,134 @@
+"""Objects from settings: fields, recordings, trackers."""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import torch
+from hydra.utils import instantiate
+from torch import Generator, Tensor
+
+from torchdt.errors import InputError
+from torchdt.experiment.settings import TrackSettings
+from torchdt.field.base import Field
+from torchdt.field.build import EnvironmentDraw
+from torchdt.model.region import Coordinate, Region
+from torchdt.scenario.npz import read_npz
+from torchdt.scenario.recording import Recording, validate
+from torchdt.scenario.settings import MismatchSettings
+from torchdt.scenario.simulate import simulate_snapshots
+from torchdt.tracker import DirectTracker
+from torchdt.tracking import generator
+
+log = logging.getLogger(__name__)
+ARRAY_KEYS = ("freqs", "element_depths", "sensor_positions")
+
+
+def build_field(target: dict[str, Any], dtype: torch.dtype, device: str, **overrides: object) -> Field:
+    """Instantiate a field from its configuration group.
+
+    Raises:
+        InputError: where the target does not exist or does not take these arguments.
+    """
+    try:
+        field = instantiate({**target, **overrides}, dtype=dtype, device=device, _convert_="all")
+    except InputError:
+        raise
+    except Exception as error:
+        # Hydra wraps what a target raises; the cause says what is wrong with the input.
+        cause = error.__cause__
+        raise cause if isinstance(cause, InputError) else InputError(f"key 'field': {error}") from error
+    if not isinstance(field, Field):
+        raise InputError.of_key(
+            "field._target_", type(field).__name__, "an object that follows torchdt.field.Field"
+        )
+    return field
+
+
+def build_recording(settings: TrackSettings) -> Recording:
+    """Read or simulate the data.
+
+    Raises:
+        InputError: where a file or the scenario does not make sense.
+    """
+    if settings.data.kind == "npz":
+        recording = read_npz(Path(settings.data.path or ""))
+        summary = recording.missing_summary()
+        if summary.num_missing:
+            log.warning(
+                "%d of %d values are missing (NaN) and left out; channels without any value, per sequence: %s",
+                summary.num_missing,
+                summary.num_entries,
+                [dead.nonzero().flatten().tolist() for dead in summary.dead_channels],
+            )
+        return recording
+    return simulate(settings)
+
+
+def simulate(settings: TrackSettings) -> Recording:
+    """Simulate `runs` sequences; sequence b depends on `seed + b` alone."""
+    scenario, target = settings.scenario, settings.field
+    snapshots, truth = [], []
+    nominal = None if not scenario.mismatch.matched else build_field(target, torch.float64, "cpu")
+    for seed in range(settings.seed, settings.seed + settings.runs):
+        stream = generator(seed, "simulation")
+        field = nominal or build_field(
+            target, torch.float64, "cpu", draw=draw_environment(scenario.mismatch, target, stream)
+        )
+        z, position = simulate_snapshots(field, scenario, stream)
+        snapshots.append(z)
+        truth.append(position)
+    return validate(
+        snapshots=torch.stack(snapshots), truth=torch.stack(truth), step_s=scenario.step_s, name=scenario.name
+    )
+
+
+def draw_environment(
+    mismatch: MismatchSettings, target: dict[str, Any], stream: Generator
+) -> EnvironmentDraw:
+    """One departure from the nominal environment."""
+
+    def magnitude(limits: list[float]) -> float:
+        size, sign = torch.rand(2, generator=stream, dtype=torch.float64).tolist()
+        return (limits[0] + (limits[1] - limits[0]) * size) * (1 if sign < 0.5 else -1)
+
+    eofs = target.get("eofs")
+    if eofs is None:
+        raise InputError.of_key(
+            "scenario.mismatch", "a mismatch", "none: this field has no environment to vary"
+        )
+    num = len(eofs["functions"][0])
+    coefficients = mismatch.eof_scale * torch.randn(num, generator=stream, dtype=torch.float64)
+    return EnvironmentDraw(
+        tuple(coefficients.tolist()), magnitude(mismatch.tilt_deg), magnitude(mismatch.water_depth_m)
+    )
+
+
+def build_tracker(settings: TrackSettings, recording: Recording) -> DirectTracker:
+    """Tracker for a recording; what the recording says of its array replaces the field's configuration.
+
+    Raises:
+        InputError: where truth or array do not fit the scenario.
+    """
+    target = settings.field
+    known = {key: getattr(recording, key) for key in ARRAY_KEYS}
+    overrides = {
+        key: value.tolist() for key, value in known.items() if isinstance(value, Tensor) and key in target
+    }
+    field = build_field(target, settings.torch_dtype, settings.device, **overrides)
+    try:
+        coordinates = [Coordinate(**vars(c)) for c in settings.scenario.coordinates]
+    except ValueError as error:
+        raise InputError(f"key 'scenario.coordinates': {error}") from error
+    region = Region(coordinates, settings.torch_dtype, settings.device)
+    if region.num_coordinates != field.num_coordinates:
+        raise InputError.of_key(
+            "scenario.coordinates",
+            f"{region.num_coordinates} coordinates",
+            f"{field.num_coordinates}, as the field",
+        )
+    if recording.truth is not None and recording.truth.shape[-1] != region.num_coordinates:
+        raise InputError.of_key(
+            "truth", f"{recording.truth.shape[-1]} coordinates", f"{region.num_coordinates}, as the scenario"
+        )
+    return DirectTracker(field, region, recording.step_s, settings.tracker)

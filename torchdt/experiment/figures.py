@@ -1,0 +1,58 @@
+"""Figures of one tracked sequence."""
+
+import torch
+from matplotlib.figure import Figure
+
+from torchdt.detect.dictionary import bartlett_surface
+from torchdt.experiment.settings import TrackSettings
+from torchdt.history import TrackHistory
+from torchdt.metrics.gospa import Gospa
+from torchdt.model.region import Coordinate
+from torchdt.report.figures import Axis, gospa_figure, surface_figure, tracks_figure
+from torchdt.scenario.recording import Recording
+from torchdt.tracker import DirectTracker
+from torchdt.tracking import prepare
+
+
+def axis_of(coordinate: Coordinate) -> Axis:
+    """How a coordinate is drawn: kilometres from 2000 m up, depths downward."""
+    kilometres = coordinate.unit == "m" and coordinate.high - coordinate.low >= 2000
+    unit, scale = ("km", 1e-3) if kilometres else (coordinate.unit, 1.0)
+    return Axis(f"{coordinate.name.capitalize()} ({unit})", scale, downward=coordinate.name == "depth")
+
+
+def draw_figures(
+    settings: TrackSettings,
+    recording: Recording,
+    tracker: DirectTracker,
+    history: TrackHistory,
+    score: Gospa | None,
+) -> dict[str, Figure]:
+    """Figures of the first sequence by name.
+
+    Args:
+        history: batch shape `(B,)`, on the CPU.
+        score: `(B, K)`, None without truth.
+    """
+    coordinates = tracker.region.coordinates
+    axes = [axis_of(c) for c in coordinates]
+    first, times = history.select(0), recording.times()
+    truth = None if recording.truth is None else recording.truth[0]
+    figures = {"tracks": tracks_figure(first, truth, times, axes)}
+    if score is not None:
+        figures["gospa"] = gospa_figure(score.select(0), times, coordinates[0].unit)
+    if len(coordinates) <= 2:
+        step = min(settings.logging.surface_step, recording.num_steps - 1)
+        measurement = prepare(recording, tracker).measurement.at(step)
+        surface = bartlett_surface(tracker.dictionary, measurement)[0].reshape(tracker.region.grid_shape)
+        decibels = 10 * surface.clamp_min(torch.finfo(surface.dtype).tiny).log10().cpu()
+        centres = tracker.dictionary.points.reshape(*tracker.region.grid_shape, -1).cpu()
+        grid = [
+            centres.movedim(d, 0).reshape(n, -1, len(coordinates))[:, 0, d]
+            for d, n in enumerate(centres.shape[:-1])
+        ]
+        estimates = first.position[step][first.declared[step]]
+        figures["surface"] = surface_figure(
+            decibels, grid, estimates, None if truth is None else truth[step], axes
+        )
+    return figures

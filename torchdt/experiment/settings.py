@@ -1,0 +1,97 @@
+"""Configuration of the experiments: schemas for Hydra, range checks at the edge."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from hydra.core.config_store import ConfigStore
+from omegaconf import DictConfig, OmegaConf
+
+from torchdt.config import TrackerConfig
+from torchdt.errors import InputError
+from torchdt.scenario.settings import ScenarioSettings
+
+
+@dataclass
+class DataSettings:
+    """Where the snapshots come from: `simulated`, or a file of kind `npz`."""
+
+    kind: str = "simulated"
+    path: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("simulated", "npz"):
+            raise InputError.of_key("data.kind", self.kind, "simulated or npz")
+
+
+@dataclass
+class LoggingSettings:
+    """What a run shows and writes beside its tables.
+
+    Attributes:
+        tensorboard: write event files.
+        figures: write figures.
+        surface_step: step whose estimates are drawn over the ambiguity surface.
+        progress: show a progress bar on a terminal.
+    """
+
+    tensorboard: bool = True
+    figures: bool = True
+    surface_step: int = 200
+    progress: bool = True
+
+    def __post_init__(self) -> None:
+        if self.surface_step < 0:
+            raise InputError.of_key("logging.surface_step", self.surface_step, "a step from 0 up")
+
+
+@dataclass
+class TrackSettings:
+    """Settings of `experiments/track.py`.
+
+    Attributes:
+        field: target and arguments of the array response, see `torchdt.field.build`.
+        seed: of the first run; run b has `seed + b`.
+        runs: sequences simulated and tracked in one batch; a recording brings its own number.
+        device, dtype: of the tracker.
+        threads: of the linear algebra; None leaves them to PyTorch.
+    """
+
+    scenario: ScenarioSettings = dataclasses.field(default_factory=ScenarioSettings)
+    field: Any = None
+    tracker: TrackerConfig = dataclasses.field(default_factory=TrackerConfig)
+    data: DataSettings = dataclasses.field(default_factory=DataSettings)
+    logging: LoggingSettings = dataclasses.field(default_factory=LoggingSettings)
+    seed: int = 0
+    runs: int = 1
+    device: str = "cpu"
+    dtype: str = "float32"
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.runs < 1:
+            raise InputError.of_key("runs", self.runs, "a positive integer")
+        if self.dtype not in ("float32", "float64"):
+            raise InputError.of_key("dtype", self.dtype, "float32 or float64")
+        if self.threads is not None and self.threads < 1:
+            raise InputError.of_key("threads", self.threads, "a positive integer or null")
+
+    @property
+    def torch_dtype(self) -> torch.dtype:
+        """Real type of the tracker."""
+        return torch.float32 if self.dtype == "float32" else torch.float64
+
+
+def settings_of(config: DictConfig) -> TrackSettings:
+    """Resolve and check a composed configuration.
+
+    Raises:
+        InputError: naming the key, the value found and what was expected.
+    """
+    settings = OmegaConf.to_object(config)
+    assert isinstance(settings, TrackSettings)
+    return settings
+
+
+ConfigStore.instance().store(name="track_schema", node=TrackSettings)

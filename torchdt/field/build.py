@@ -1,0 +1,123 @@
+"""Fields from plain configuration values: the targets named in `field._target_`.
+
+A target is called with the values of its configuration group and the keywords `dtype` and `device`. A
+recording that brings its own `freqs`, `element_depths` or `sensor_positions` replaces the values of the
+group by these names.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+
+from torchdt.errors import InputError
+from torchdt.field.environment import Environment, HalfSpace, Layer, combine_eofs
+from torchdt.field.plane_wave import LineArrayField
+from torchdt.field.waveguide import NormalModeField
+
+
+class EnvironmentDraw(NamedTuple):
+    """A departure from the nominal environment.
+
+    Attributes:
+        eof_coefficients: of the sound-speed EOFs, standard deviations.
+        tilt_deg: added to the array tilt, degrees.
+        water_depth_m: added to the water depth, m.
+    """
+
+    eof_coefficients: tuple[float, ...] = ()
+    tilt_deg: float = 0.0
+    water_depth_m: float = 0.0
+
+
+def waveguide(
+    *,
+    profile: Sequence[Sequence[float]],
+    layers: Sequence[Mapping[str, float]],
+    halfspace: Mapping[str, float],
+    freqs: Sequence[float],
+    element_depths: Sequence[float],
+    tilt_deg: float = 0.0,
+    normalize: bool = True,
+    max_phase_speed: float = 1750.0,
+    eofs: Mapping[str, Any] | None = None,
+    draw: EnvironmentDraw | None = None,
+    dtype: torch.dtype | None = None,
+    device: torch.device | str | None = None,
+) -> NormalModeField:
+    """Normal-mode field of a layered waveguide on a vertical array.
+
+    Args:
+        profile: knots (depth m, speed m/s) from the surface to the seafloor.
+        layers: keywords of `Layer`, uppermost first.
+        halfspace: keywords of `HalfSpace`.
+        freqs: Hz.
+        element_depths: m.
+        tilt_deg: of the array, degrees, positive towards the source.
+        normalize: give each tone's response unit norm.
+        max_phase_speed: of the modes kept, m/s.
+        eofs: sound-speed statistics, `depths` (Z,) m and `functions` (Z, E) m/s; needed for a draw only.
+        draw: departure from this environment.
+        dtype, device: of the field.
+
+    Raises:
+        InputError: where the environment or the array does not make sense.
+    """
+    try:
+        environment = Environment(
+            tuple((float(z), float(c)) for z, c in profile),
+            tuple(Layer(**layer) for layer in layers),
+            HalfSpace(**halfspace),
+        )
+        if draw is not None:
+            delta = (
+                combine_eofs(eofs["depths"], eofs["functions"], draw.eof_coefficients)
+                if eofs is not None and draw.eof_coefficients
+                else ()
+            )
+            depth = environment.water_depth + draw.water_depth_m
+            environment = environment.perturbed(water_depth=depth, delta_c=delta)
+            tilt_deg = tilt_deg + draw.tilt_deg
+        return NormalModeField(
+            environment,
+            freqs,
+            element_depths,
+            tilt_deg,
+            normalize=normalize,
+            max_phase_speed=max_phase_speed,
+            dtype=dtype,
+            device=device,
+        )
+    except (ValueError, TypeError) as error:
+        raise InputError(f"key 'field': {error}") from error
+
+
+def line_array(
+    *,
+    freqs: Sequence[float],
+    sensor_positions: Sequence[float] | Sequence[Sequence[float]],
+    wave_speed: float,
+    dtype: torch.dtype | None = None,
+    device: torch.device | str | None = None,
+) -> LineArrayField:
+    """Plane waves on a line array.
+
+    Args:
+        freqs: Hz.
+        sensor_positions: `(M,)` along the line, or `(M, 3)` of which the first coordinate is the line, m.
+        wave_speed: m/s.
+        dtype, device: of the field.
+
+    Raises:
+        InputError: where the array does not make sense.
+    """
+    along = torch.as_tensor(sensor_positions, dtype=torch.float64)
+    if along.ndim == 2 and bool((along[:, 1:] != along[:1, 1:]).any()):
+        raise InputError.of_key(
+            "sensor_positions", "sensors off a line", "sensors along the first coordinate"
+        )
+    along = along[:, 0] if along.ndim == 2 else along
+    try:
+        return LineArrayField(freqs, along.tolist(), wave_speed, dtype=dtype, device=device)
+    except ValueError as error:
+        raise InputError(f"key 'field': {error}") from error

@@ -1,0 +1,169 @@
+"""The files of a run directory: `gospa.csv`, `tracks.csv`, `metrics.json`, `manifest.json`."""
+
+import csv
+import io
+import json
+import math
+import os
+import subprocess
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import torch
+
+import torchdt
+from torchdt.atomic import atomic_write
+from torchdt.history import TrackHistory
+from torchdt.metrics import Gospa
+
+WAVEGUIDE_COLUMNS = ("range_m", "depth_m", "range_rate_mps", "depth_rate_mps")
+
+PACKAGES = ("torchdt", "torch", "numpy", "scipy", "hydra-core", "tensorboard", "matplotlib", "rich")
+
+
+def write_gospa_csv(path: str | os.PathLike[str], gospa: Gospa) -> None:
+    """Write one row per run and step, both counted from zero.
+
+    Args:
+        path: where to write, usually `gospa.csv`.
+        gospa: `(B, K)`.
+    """
+    header = ("run", "step", "gospa", "localisation", "missed", "false", "num_truth", "num_estimated")
+    columns = [field.tolist() for field in gospa]
+    num_runs, num_steps = gospa.total.shape
+    rows = (
+        (run, step, *(column[run][step] for column in columns))
+        for run in range(num_runs)
+        for step in range(num_steps)
+    )
+    _write_csv(path, header, rows)
+
+
+def write_tracks_csv(
+    path: str | os.PathLike[str],
+    history: TrackHistory,
+    step_s: float,
+    coordinates: Sequence[str] = WAVEGUIDE_COLUMNS,
+) -> None:
+    """Write one row per declared object, sorted by run, step and slot.
+
+    Args:
+        path: where to write, usually `tracks.csv`.
+        history: batch shape `(B,)`.
+        step_s: seconds from one step to the next; step 0 is at time 0.
+        coordinates: column names of the D state entries, units included.
+
+    Raises:
+        ValueError: not one name for each state entry.
+    """
+    if len(coordinates) != history.state.shape[-1]:
+        raise ValueError(f"coordinates: found {len(coordinates)}, expected {history.state.shape[-1]} names")
+    powers = [f"power_{tone}" for tone in range(1, history.power.shape[-1] + 1)]
+    header = ("run", "step", "time_s", "label", "existence", *coordinates, *powers)
+
+    index = history.declared.nonzero(as_tuple=True)
+    run, step = (axis.tolist() for axis in index[:2])
+    label, existence = history.label[index].tolist(), history.existence[index].tolist()
+    values = torch.cat([history.state[index], history.power[index].to(history.state)], -1).tolist()
+    rows = ((run[i], step[i], step[i] * step_s, label[i], existence[i], *values[i]) for i in range(len(run)))
+    _write_csv(path, header, rows)
+
+
+def metrics_summary(
+    tracker: str, history: TrackHistory, gospa: Gospa | None, seed: int, seconds: float
+) -> dict[str, object]:
+    """Content of `metrics.json`.
+
+    Args:
+        tracker: name of the method.
+        history: batch shape `(B,)`.
+        gospa: `(B, K)`, or None without truth.
+        seed: of the run.
+        seconds: wall-clock time of the tracking alone.
+
+    Returns:
+        `num_steps` is K and `num_runs` B; `steps_per_second` counts the steps of all runs; `log_likelihood`
+        is the sum over the steps, averaged over the runs; `gospa` holds averages over runs and steps, or is
+        None.
+    """
+    num_runs, num_steps = history.log_evidence.shape
+    return {
+        "tracker": tracker,
+        "num_steps": num_steps,
+        "num_runs": num_runs,
+        "seed": seed,
+        "log_likelihood": history.log_evidence.double().sum(-1).mean().item(),
+        "seconds": seconds,
+        "steps_per_second": num_runs * num_steps / seconds if seconds > 0 else None,
+        "gospa": None
+        if gospa is None
+        else {
+            "mean": gospa.total.mean().item(),
+            "localisation": gospa.localisation.mean().item(),
+            "missed": gospa.missed.mean().item(),
+            "false": gospa.false.mean().item(),
+        },
+    }
+
+
+def manifest(config: Mapping[str, object], seed: int) -> dict[str, object]:
+    """Content of `manifest.json`: what is needed to repeat a run.
+
+    Args:
+        config: the resolved configuration, of plain containers and values.
+        seed: of the run.
+
+    Returns:
+        `config`, `seed`, `versions` (None for a package that is not installed) and `git_commit` (None where
+        the code does not lie in a git checkout of its own).
+    """
+    return {
+        "config": config,
+        "seed": seed,
+        "versions": {name: _version(name) for name in PACKAGES},
+        "git_commit": _git_commit(Path(torchdt.__file__).parents[1]),
+    }
+
+
+def write_json(path: str | os.PathLike[str], content: Mapping[str, object]) -> None:
+    """Write strict JSON: numbers that are not finite become null, unknown types their text."""
+    text = json.dumps(_finite(content), indent=2, allow_nan=False, default=str)
+    with atomic_write(path) as file:
+        file.write(f"{text}\n".encode())
+
+
+def _write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[float]]) -> None:
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(header)
+    # Nine digits give a single-precision number back exactly.
+    writer.writerows([f"{v:.9g}" if isinstance(v, float) else v for v in row] for row in rows)
+    with atomic_write(path) as file:
+        file.write(buffer.getvalue().encode())
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _git_commit(root: Path) -> str | None:
+    # An installed copy may lie inside the checkout of some other project, whose commit would mislead.
+    if not (root / ".git").exists():
+        return None
+    try:
+        command = ["git", "-C", str(root), "rev-parse", "HEAD"]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
