@@ -1,15 +1,16 @@
 """Settings of the tracker, checked once when they are made."""
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass
-from typing import Any
 
-from torchdt.errors import InputError
+from torchdt.errors import require
+
+SCHEDULES = ("sequential", "flooding")
 
 
 @dataclass
 class TrackerConfig:
-    """Numbers of the model and the filter; defaults are those of Liang and Meyer, Sec. IV, where they give one.
+    """Numbers of the model and the filter; defaults of Liang and Meyer, Sec. IV, where given.
 
     Attributes:
         slots: number N of potential objects carried at most.
@@ -56,7 +57,7 @@ class TrackerConfig:
     noise_max: float | None = None
 
     def __post_init__(self) -> None:
-        for name in (
+        positive = (
             "slots",
             "particles",
             "power_points",
@@ -65,20 +66,20 @@ class TrackerConfig:
             "sweeps",
             "rounds",
             "round_size",
-        ):
-            self._check(name, "a positive integer", lambda v: isinstance(v, int) and v > 0)
+        )
+        for name in positive:
+            self._require(name, getattr(self, name) >= 1, "a positive integer")
         for name in ("power_shape", "noise_shape", "birth_mean"):
-            self._check(name, "a positive number", lambda v: 0 < v < float("inf"))
+            self._require(name, 0 < getattr(self, name) < math.inf, "a positive number")
         for name in ("power_max", "noise_max"):
-            self._check(name, "a positive number or null", lambda v: v is None or 0 < v < float("inf"))
+            limit = getattr(self, name)
+            self._require(name, limit is None or 0 < limit < math.inf, "a positive number or null")
         for name in ("survival", "declare", "prune"):
-            self._check(name, "a probability strictly between 0 and 1", lambda v: 0 < v < 1)
+            self._require(name, 0 < getattr(self, name) < 1, "a probability strictly between 0 and 1")
         for name in ("roughening", "resample_below"):
-            self._check(name, "a number from 0 to 1", lambda v: 0 <= v <= 1)
-        self._check("likelihood_power", "a number above 0, up to 1", lambda v: 0 < v <= 1)
-        self._check("schedule", "'sequential' or 'flooding'", lambda v: v in ("sequential", "flooding"))
+            self._require(name, 0 <= getattr(self, name) <= 1, "a number from 0 to 1")
+        self._require("likelihood_power", 0 < self.likelihood_power <= 1, "a number above 0, up to 1")
+        self._require("schedule", self.schedule in SCHEDULES, " or ".join(SCHEDULES))
 
-    def _check(self, name: str, expected: str, holds: Callable[[Any], bool]) -> None:
-        value = getattr(self, name)
-        if not holds(value):
-            raise InputError.of_key(f"tracker.{name}", value, expected)
+    def _require(self, name: str, holds: bool, expected: str) -> None:
+        require(holds, f"tracker.{name}", getattr(self, name), expected)

@@ -24,3 +24,9 @@ class InputError(ValueError):
     def of_path(cls, path: object, found: object, expected: object) -> Self:
         """Build the error of a file as a whole: `path 'x.npz': found ..., expected ...`."""
         return cls(f"path '{path}': found {found}, expected {expected}")
+
+
+def require(holds: bool, key: str, found: object, expected: object) -> None:
+    """Raise the `InputError` of a key where a condition does not hold."""
+    if not holds:
+        raise InputError.of_key(key, found, expected)

@@ -14,7 +14,7 @@ from torchdt.detect.dictionary import build_dictionary
 from torchdt.field.base import Field
 from torchdt.history import TrackHistory
 from torchdt.model.gamma_chain import predict_chain, uniform_prior
-from torchdt.model.kinematics import drop_outside, predict_log_odds, predict_state
+from torchdt.model.kinematics import predict_log_odds, predict_state
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
@@ -79,7 +79,7 @@ class DirectTracker:
         """
         batch_dims = priors.noise_max.ndim - 1
         state, steps = self.init(priors), []
-        for k in range(measurement.count.shape[batch_dims]):
+        for k in range(measurement.num_snapshots.shape[batch_dims]):
             state, estimate = self.step(state, measurement.at(k), priors, streams)
             steps.append(estimate)
             if on_step is not None:
@@ -161,7 +161,7 @@ class DirectTracker:
         return _select(objects, strongest_first(_strength(objects))[..., :occupied]), noise
 
     def _draws(self, streams: RandomStreams) -> tuple[Draws, Draws, Tensor]:
-        """Random numbers of the proposals, always as many: a sequence alone draws what it draws in a batch."""
+        """Random numbers of the proposals, always as many, whatever the other sequences of the batch need."""
         cfg, d = self.config, self.region.num_coordinates
         size = (cfg.rounds, cfg.round_size, d)
         moved = Draws(streams.normal(cfg.slots, *size), streams.normal(cfg.slots, cfg.particles, 2 * d))

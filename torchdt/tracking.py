@@ -101,7 +101,7 @@ def track(
     square = unit.square().to(history.noise.dtype)
     measurement = prepared.measurement
     # The density of complex data z = unit * z' is that of z' over unit^2 for every complex entry.
-    entries = (measurement.count * measurement.present.sum(-1)).sum(-1)
+    entries = (measurement.num_snapshots * measurement.present.sum(-1)).sum(-1)
     jacobian = 2 * entries.double() * unit.log()[:, None]
     return history._replace(
         power=history.power * square[:, None, None, None],

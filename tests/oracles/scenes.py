@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from oracles.enumeration import Problem
 from torch import Tensor
 
-from oracles.enumeration import Problem
 from torchdt.model.measurement import Measurement, from_snapshots
 from torchdt.state import Noise, Objects
 

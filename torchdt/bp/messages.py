@@ -69,6 +69,6 @@ def _tone_messages(
 ) -> tuple[Tensor, Tensor]:
     """Messages `(*batch, I, P)` and the log-likelihood ratios `(*batch, I, P, G)` behind them."""
     s, q = statistics(whitener, response)
-    count = whitener.count[..., None, None]
-    log_ratio = log_likelihood_ratio(count, power[..., None, :], s[..., None], q[..., None])
+    J = whitener.num_snapshots[..., None, None]
+    log_ratio = log_likelihood_ratio(J, power[..., None, :], s[..., None], q[..., None])
     return torch.logsumexp(log_power_weight[..., None, :] + log_ratio, -1), log_ratio

@@ -27,8 +27,8 @@ def update_noise(prior: Noise, measurement: Measurement, signal: Tensor) -> Nois
     # Missing sensors span eigenvectors of eigenvalue zero that hold no energy: each adds -J log eta.
     missing = (1 - present).sum(-1)[..., None]
     level = eigenvalue.clamp_min(0.0).to(real)[..., None, :] + prior.variance[..., None]
-    count = measurement.count[..., None]
+    J = measurement.num_snapshots[..., None]
     log_det = level.log().sum(-1) - missing * prior.variance.log()
-    log_likelihood = -count * log_det - (energy.to(real)[..., None, :] / level).sum(-1)
+    log_likelihood = -J * log_det - (energy.to(real)[..., None, :] / level).sum(-1)
     log_weight, _ = normalise(prior.log_weight + log_likelihood)
     return prior._replace(log_weight=log_weight)

@@ -25,11 +25,11 @@ class Whitener(NamedTuple):
     Attributes:
         projection: `(*batch, I, M, M + R)` complex, `[L^-H, Sigma^-1 B]` with `Sigma = L L^H`; rows of
             missing sensors are zero, so a response needs no mask of its own.
-        count: `(*batch, I)` real J.
+        num_snapshots: `(*batch, I)` real J.
     """
 
     projection: Tensor
-    count: Tensor
+    num_snapshots: Tensor
 
 
 def whiten(measurement: Measurement, background: Tensor) -> Whitener:
@@ -49,7 +49,7 @@ def whiten(measurement: Measurement, background: Tensor) -> Whitener:
     inverse = torch.linalg.solve_triangular(lower, eye, upper=False)
     spread = inverse.mH @ (inverse @ measurement.factor.to(lower.dtype))
     projection = torch.cat([inverse.mH, spread], dim=-1) * measurement.present[..., None]
-    return Whitener(projection.to(background.dtype), measurement.count)
+    return Whitener(projection.to(background.dtype), measurement.num_snapshots)
 
 
 def statistics(whitener: Whitener, response: Tensor) -> tuple[Tensor, Tensor]:
@@ -68,19 +68,19 @@ def statistics(whitener: Whitener, response: Tensor) -> tuple[Tensor, Tensor]:
     return projected[..., :num_sensors].sum(-1), projected[..., num_sensors:].sum(-1)
 
 
-def log_likelihood_ratio(count: Tensor, power: Tensor, s: Tensor, q: Tensor) -> Tensor:
+def log_likelihood_ratio(J: Tensor, power: Tensor, s: Tensor, q: Tensor) -> Tensor:
     """`ell(x, gamma)`, all arguments broadcast against each other.
 
     Args:
-        count: J.
+        J: number of snapshots.
         power: gamma >= 0.
         s, q: quadratic forms from `statistics`.
     """
     gain = power * s
-    return power * q / (1 + gain) - count * torch.log1p(gain)
+    return power * q / (1 + gain) - J * torch.log1p(gain)
 
 
-def peak_log_likelihood_ratio(count: Tensor, s: Tensor, q: Tensor) -> tuple[Tensor, Tensor]:
+def peak_log_likelihood_ratio(J: Tensor, s: Tensor, q: Tensor) -> tuple[Tensor, Tensor]:
     """Maximum of `ell` over the power and the power that reaches it.
 
     `gamma = max(0, q / J - s) / s^2` (Tipping and Faul, AISTATS 2003).
@@ -89,8 +89,8 @@ def peak_log_likelihood_ratio(count: Tensor, s: Tensor, q: Tensor) -> tuple[Tens
         The maximum, >= 0, and gamma, >= 0, both of the broadcast shape.
     """
     tiny = torch.finfo(s.dtype).tiny
-    safe_s, safe_count = s.clamp_min(tiny), count.clamp_min(tiny)
-    ratio = (q / (safe_count * safe_s)).clamp_min(1.0)
-    heard = (count > 0) & (s > tiny)
-    peak = torch.where(heard, count * (ratio - 1 - ratio.log()), 0.0)
+    safe_s, safe_J = s.clamp_min(tiny), J.clamp_min(tiny)
+    ratio = (q / (safe_J * safe_s)).clamp_min(1.0)
+    heard = (J > 0) & (s > tiny)
+    peak = torch.where(heard, J * (ratio - 1 - ratio.log()), 0.0)
     return peak, torch.where(heard, (ratio - 1) / safe_s, 0.0)

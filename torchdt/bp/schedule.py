@@ -6,7 +6,7 @@ the beliefs of the last pass, as loopy BP is usually written; it finds ghosts be
 may oscillate for ever where objects overlap.
 """
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,8 +17,6 @@ from torchdt.bp.noise import update_noise
 from torchdt.bp.rank_one import whiten
 from torchdt.model.measurement import Measurement, mask_covariance
 from torchdt.state import Noise, Objects, weighted_mean
-
-Schedule = Literal["sequential", "flooding"]
 
 
 class Beliefs(NamedTuple):
@@ -75,7 +73,7 @@ def update(
     measurement: Measurement,
     *,
     sweeps: int = 3,
-    schedule: Schedule = "sequential",
+    schedule: str = "sequential",
     initial: Beliefs | None = None,
 ) -> Beliefs:
     """BP update of one time step on fixed particles.

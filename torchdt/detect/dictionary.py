@@ -41,7 +41,7 @@ def bartlett_surface(dictionary: Dictionary, measurement: Measurement) -> Tensor
     norm = response.abs().square().sum(-1)
     energy = measurement.factor.abs().square().sum((-2, -1))[..., None]
     tiny = torch.finfo(output.dtype).tiny
-    heard = (measurement.count > 0).to(output.dtype)[..., None]
+    heard = (measurement.num_snapshots > 0).to(output.dtype)[..., None]
     share = output / (norm * energy).clamp_min(tiny)
     return (heard * share).sum(-2) / heard.sum(-2).clamp_min(1.0)
 
@@ -53,13 +53,13 @@ def likelihood_surface(dictionary: Dictionary, whitener: Whitener) -> Tensor:
     is already explained, instead of projected off it.
     """
     surfaces = [
-        peak_log_likelihood_ratio(
-            count[..., None], *statistics(Whitener(projection, count), dictionary.response)
-        )[0].sum(-2)
-        for projection, count in zip(
+        peak_log_likelihood_ratio(J[..., None], *statistics(Whitener(projection, J), dictionary.response))[
+            0
+        ].sum(-2)
+        for projection, J in zip(
             whitener.projection.reshape(-1, *whitener.projection.shape[-3:]),
-            whitener.count.reshape(-1, whitener.count.shape[-1]),
+            whitener.num_snapshots.reshape(-1, whitener.num_snapshots.shape[-1]),
             strict=True,
         )
     ]
-    return torch.stack(surfaces).reshape(*whitener.count.shape[:-1], -1)
+    return torch.stack(surfaces).reshape(*whitener.num_snapshots.shape[:-1], -1)

@@ -56,7 +56,7 @@ def build_recording(settings: TrackSettings) -> Recording:
         summary = recording.missing_summary()
         if summary.num_missing:
             log.warning(
-                "%d of %d values are missing (NaN) and left out; channels without any value, per sequence: %s",
+                "%d of %d values are missing (NaN) and left out; dead channels of each sequence: %s",
                 summary.num_missing,
                 summary.num_entries,
                 [dead.nonzero().flatten().tolist() for dead in summary.dead_channels],

@@ -9,7 +9,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from torchdt.config import TrackerConfig
-from torchdt.errors import InputError
+from torchdt.errors import require
 from torchdt.scenario.settings import ScenarioSettings
 
 
@@ -21,8 +21,7 @@ class DataSettings:
     path: str | None = None
 
     def __post_init__(self) -> None:
-        if self.kind not in ("simulated", "npz"):
-            raise InputError.of_key("data.kind", self.kind, "simulated or npz")
+        require(self.kind in ("simulated", "npz"), "data.kind", self.kind, "simulated or npz")
 
 
 @dataclass
@@ -42,8 +41,7 @@ class LoggingSettings:
     progress: bool = True
 
     def __post_init__(self) -> None:
-        if self.surface_step < 0:
-            raise InputError.of_key("logging.surface_step", self.surface_step, "a step from 0 up")
+        require(self.surface_step >= 0, "logging.surface_step", self.surface_step, "a step from 0 up")
 
 
 @dataclass
@@ -70,12 +68,10 @@ class TrackSettings:
     threads: int | None = None
 
     def __post_init__(self) -> None:
-        if self.runs < 1:
-            raise InputError.of_key("runs", self.runs, "a positive integer")
-        if self.dtype not in ("float32", "float64"):
-            raise InputError.of_key("dtype", self.dtype, "float32 or float64")
-        if self.threads is not None and self.threads < 1:
-            raise InputError.of_key("threads", self.threads, "a positive integer or null")
+        require(self.runs >= 1, "runs", self.runs, "a positive integer")
+        require(self.dtype in ("float32", "float64"), "dtype", self.dtype, "float32 or float64")
+        enough = self.threads is None or self.threads >= 1
+        require(enough, "threads", self.threads, "a positive integer or null")
 
     @property
     def torch_dtype(self) -> torch.dtype:

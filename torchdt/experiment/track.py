@@ -1,6 +1,7 @@
 """The main job: track a scenario or a recording, and show the result."""
 
 import contextlib
+import dataclasses
 import logging
 import sys
 import time
@@ -10,7 +11,7 @@ from pathlib import Path
 import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -40,9 +41,7 @@ def run_track(config: DictConfig) -> float | None:
     """
     settings = settings_of(config)
     directory = Path(HydraConfig.get().runtime.output_dir)
-    write_json(
-        directory / "manifest.json", manifest(OmegaConf.to_container(config, resolve=True), settings.seed)
-    )
+    write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), settings.seed))
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
     recording = build_recording(settings)
@@ -140,4 +139,4 @@ def write_results(
             report.add_history(history.select(0), None if score is None else score.select(0))
             for name, figure in figures.items():
                 report.add_figure(f"figures/{name}", figure)
-            report.add_config(OmegaConf.to_container(OmegaConf.structured(settings)))
+            report.add_config(dataclasses.asdict(settings))

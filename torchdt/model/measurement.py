@@ -18,28 +18,30 @@ class Measurement(NamedTuple):
 
     Attributes:
         factor: `(*batch, I, M, R)` complex B; zero in the rows of missing sensors.
-        count: `(*batch, I)` real J, the number of snapshots; 0 where all are missing.
+        num_snapshots: `(*batch, I)` real J, the number of snapshots; 0 where all are missing.
         present: `(*batch, I, M)` real, 1 for a sensor that is heard and 0 for a missing one.
     """
 
     factor: Tensor
-    count: Tensor
+    num_snapshots: Tensor
     present: Tensor
 
     @property
     def energy(self) -> Tensor:
         """Received energy per snapshot `tr(S) / J`, `(*batch, I)`; 0 without snapshots."""
-        return self.factor.abs().square().sum((-2, -1)) / self.count.clamp_min(1.0)
+        return self.factor.abs().square().sum((-2, -1)) / self.num_snapshots.clamp_min(1.0)
 
     def at(self, step: int) -> "Measurement":
         """Select one step of a sequence stored as `(*batch, K, I, ...)`."""
         return Measurement(
-            self.factor[..., step, :, :, :], self.count[..., step, :], self.present[..., step, :, :]
+            self.factor[..., step, :, :, :], self.num_snapshots[..., step, :], self.present[..., step, :, :]
         )
 
     def unsqueeze(self) -> "Measurement":
         """Add a batch dimension behind `*batch`, to broadcast over objects."""
-        return Measurement(self.factor.unsqueeze(-4), self.count.unsqueeze(-2), self.present.unsqueeze(-3))
+        return Measurement(
+            self.factor.unsqueeze(-4), self.num_snapshots.unsqueeze(-2), self.present.unsqueeze(-3)
+        )
 
     def tempered(self, power: Tensor | float) -> "Measurement":
         """Raise the likelihood to a power: an effective number of `power * J` snapshots.
@@ -47,8 +49,10 @@ class Measurement(NamedTuple):
         Args:
             power: real, broadcastable to `(*batch, I)`.
         """
-        power = torch.as_tensor(power, dtype=self.count.dtype, device=self.count.device)
-        return self._replace(factor=self.factor * power.sqrt()[..., None, None], count=self.count * power)
+        power = torch.as_tensor(power, dtype=self.num_snapshots.dtype, device=self.num_snapshots.device)
+        return self._replace(
+            factor=self.factor * power.sqrt()[..., None, None], num_snapshots=self.num_snapshots * power
+        )
 
 
 def from_snapshots(snapshots: Tensor) -> Measurement:
@@ -114,7 +118,7 @@ def gaussian_log_likelihood(measurement: Measurement, covariance: Tensor) -> Ten
     log_det = 2 * (present * log_diagonal).sum(-1)
     whitened = torch.linalg.solve_triangular(lower, measurement.factor, upper=False)
     misfit = whitened.abs().square().sum((-2, -1))
-    return -measurement.count * (present.sum(-1) * math.log(math.pi) + log_det) - misfit
+    return -measurement.num_snapshots * (present.sum(-1) * math.log(math.pi) + log_det) - misfit
 
 
 def mask_covariance(signal: Tensor, noise: Tensor, present: Tensor) -> Tensor:

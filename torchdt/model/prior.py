@@ -60,7 +60,7 @@ def data_priors(measurement: Measurement) -> Priors:
     Args:
         measurement: statistics of whole sequences, batch `(*batch, K)`.
     """
-    heard = measurement.count > 0
+    heard = measurement.num_snapshots > 0
     energy = torch.where(heard, measurement.energy, torch.nan)
     per_sensor = energy / measurement.present.sum(-1).clamp_min(1.0)
     power = 2 * energy.nanquantile(0.99, dim=-2)

@@ -77,7 +77,7 @@ def search(
         position = _refine(field, region, whitener, dictionary.points[cell], rounds[..., pick, :, :, :])
         response = respond(field, position[..., None, :])
         s, q = statistics(whitener, response)
-        _, power = peak_log_likelihood_ratio(whitener.count, s[..., 0], q[..., 0])
+        _, power = peak_log_likelihood_ratio(whitener.num_snapshots, s[..., 0], q[..., 0])
         power = torch.where(active[..., None], power, 0.0)
         outer = response.mT @ response.conj()
         signal = signal + power[..., None, None] * outer
@@ -95,7 +95,7 @@ def _refine(field: Field, region: Region, whitener: Whitener, centre: Tensor, ro
 
     def peak(position: Tensor) -> Tensor:
         s, q = statistics(whitener, respond(field, position))
-        return peak_log_likelihood_ratio(whitener.count[..., None], s, q)[0].sum(-2)
+        return peak_log_likelihood_ratio(whitener.num_snapshots[..., None], s, q)[0].sum(-2)
 
     around = Box((centre - region.cell).clamp_min(region.low), (centre + region.cell).clamp_max(region.high))
     return adapt(peak, around, rounds.movedim(-3, 0)).fitted.mean

@@ -1,11 +1,13 @@
 """What a simulated scenario consists of; checked once when it is made."""
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
-from torchdt.errors import InputError
+from torchdt.errors import require
+
+AMPLITUDES = ("gaussian", "constant_modulus")
 
 
 @dataclass
@@ -23,9 +25,10 @@ class PathSettings:
 
     def __post_init__(self) -> None:
         expected = f"{len(self.times_s)} positions, one for each time"
-        _check("paths.positions", self.positions, expected, lambda v: len(v) == len(self.times_s) > 0)
+        fits = len(self.positions) == len(self.times_s) > 0
+        require(fits, "scenario.paths.positions", self.positions, expected)
         rising = all(a < b for a, b in pairwise(self.times_s))
-        _check("paths.times_s", self.times_s, "increasing times", lambda v: rising)
+        require(rising, "scenario.paths.times_s", self.times_s, "increasing times")
 
 
 @dataclass
@@ -50,10 +53,10 @@ class SourceSettings:
 
     def __post_init__(self) -> None:
         pairs = all(len(s) == 2 and 0 <= s[0] <= s[1] for s in self.silences)
-        _check("sources.silences", self.silences, "pairs [first, last]", lambda v: pairs)
-        _check("sources.birth", self.birth, "a step from 0 up", lambda v: v >= 0)
-        after = f"a step after birth {self.birth}, or null"
-        _check("sources.death", self.death, after, lambda v: v is None or v > self.birth)
+        require(pairs, "scenario.sources.silences", self.silences, "pairs [first, last]")
+        require(self.birth >= 0, "scenario.sources.birth", self.birth, "a step from 0 up")
+        ends = self.death is None or self.death > self.birth
+        require(ends, "scenario.sources.death", self.death, f"a step after birth {self.birth}, or null")
 
 
 @dataclass
@@ -71,15 +74,11 @@ class MismatchSettings:
     water_depth_m: list[float] = field(default_factory=lambda: [0.0, 0.0])
 
     def __post_init__(self) -> None:
-        _check("eof_scale", self.eof_scale, "a number from 0 up", lambda v: v >= 0)
+        require(self.eof_scale >= 0, "scenario.mismatch.eof_scale", self.eof_scale, "a number from 0 up")
         for name in ("tilt_deg", "water_depth_m"):
-            value = getattr(self, name)
-            _check(
-                name,
-                value,
-                "[smallest, largest], both from 0 up",
-                lambda v: len(v) == 2 and 0 <= v[0] <= v[1],
-            )
+            limits = getattr(self, name)
+            holds = len(limits) == 2 and 0 <= limits[0] <= limits[1]
+            require(holds, f"scenario.mismatch.{name}", limits, "[smallest, largest], both from 0 up")
 
     @property
     def matched(self) -> bool:
@@ -135,26 +134,21 @@ class ScenarioSettings:
     gospa_order: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("num_steps", "num_snapshots"):
-            _check(name, getattr(self, name), "a positive integer", lambda v: v >= 1)
-        for name in ("step_s", "gospa_cutoff"):
-            _check(name, getattr(self, name), "a positive number", lambda v: 0 < v < float("inf"))
-        _check("gospa_order", self.gospa_order, "a number from 1 up", lambda v: v >= 1)
-        _check("phase_step_deg", self.phase_step_deg, "a number from 0 up", lambda v: v >= 0)
-        _check("coordinates", len(self.coordinates), "at least one coordinate", lambda v: v >= 1)
-        kinds = ("gaussian", "constant_modulus")
-        _check("amplitudes", self.amplitudes, " or ".join(kinds), lambda v: v in kinds)
-        width = len(self.coordinates)
+        for name, holds, expected in (
+            ("num_steps", self.num_steps >= 1, "a positive integer"),
+            ("num_snapshots", self.num_snapshots >= 1, "a positive integer"),
+            ("step_s", 0 < self.step_s < math.inf, "a positive number"),
+            ("snr_db", math.isfinite(self.snr_db), "a finite number"),
+            ("gospa_cutoff", 0 < self.gospa_cutoff < math.inf, "a positive number"),
+            ("gospa_order", 1 <= self.gospa_order < math.inf, "a number from 1 up"),
+            ("phase_step_deg", 0 <= self.phase_step_deg < math.inf, "a number from 0 up"),
+            ("coordinates", len(self.coordinates) >= 1, "at least one coordinate"),
+            ("amplitudes", self.amplitudes in AMPLITUDES, " or ".join(AMPLITUDES)),
+        ):
+            require(holds, f"scenario.{name}", getattr(self, name), expected)
+        width, known = len(self.coordinates), sorted(self.paths)
         for name, path in self.paths.items():
-            fits = all(len(p) == width for p in path.positions)
-            _check(
-                f"paths.{name}.positions", path.positions, f"{width} coordinates each", lambda v, ok=fits: ok
-            )
+            fits = all(len(position) == width for position in path.positions)
+            require(fits, f"scenario.paths.{name}.positions", path.positions, f"{width} coordinates each")
         for name, source in self.sources.items():
-            known = sorted(self.paths)
-            _check(f"sources.{name}.path", source.path, f"one of {known}", lambda v, known=known: v in known)
-
-
-def _check(name: str, value: Any, expected: str, holds: Callable[[Any], bool]) -> None:
-    if not holds(value):
-        raise InputError.of_key(f"scenario.{name}", value, expected)
+            require(source.path in known, f"scenario.sources.{name}.path", source.path, f"one of {known}")
