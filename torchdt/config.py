@@ -83,3 +83,11 @@ class TrackerConfig:
 
     def _require(self, name: str, holds: bool, expected: str) -> None:
         require(holds, f"tracker.{name}", getattr(self, name), expected)
+
+    def birth_log_odds(self, num_cells: int) -> float:
+        """Log-odds of a new object in one of the region's cells: `p = mu / (mu + 1)`, so `log mu`."""
+        return math.log(self.birth_mean / num_cells)
+
+    def pick_threshold(self, num_cells: int) -> float:
+        """Log-likelihood ratio that can just lift a new object over the pruning threshold."""
+        return math.log(self.prune / (1 - self.prune)) - self.birth_log_odds(num_cells)

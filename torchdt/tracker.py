@@ -39,28 +39,36 @@ class DirectTracker:
     def __init__(self, field: Field, region: Region, step_s: float, config: TrackerConfig):
         self.field, self.region, self.step_s, self.config = field, region, step_s, config
         self.dictionary = build_dictionary(field, region)
-        # Poisson births of mean mu in a cell: p = mu / (mu + 1), log-odds log mu.
-        self.birth_log_odds = math.log(config.birth_mean / region.num_cells)
-        # Even at its peak the likelihood must be able to lift a new object over the pruning threshold.
-        self.pick_threshold = math.log(config.prune / (1 - config.prune)) - self.birth_log_odds
+        self.birth_log_odds = config.birth_log_odds(region.num_cells)
+        self.pick_threshold = config.pick_threshold(region.num_cells)
+        # Particles of an empty slot: they mean nothing, but moments of them must stay finite.
+        along = torch.linspace(0, 1, config.particles, dtype=region.low.dtype, device=region.low.device)[
+            :, None
+        ]
+        self._idle = torch.cat(
+            [
+                torch.lerp(region.low, region.high, along),
+                torch.lerp(region.rate_low, region.rate_high, along),
+            ],
+            -1,
+        )
 
     def init(self, priors: Priors) -> TrackerState:
         """State before the first step: no objects, noise uniform up to `priors.noise_max`."""
-        cfg, region = self.config, self.region
+        cfg = self.config
         batch = priors.noise_max.shape[:-1]
-        centre = torch.cat([(region.low + region.high) / 2, torch.zeros_like(region.low)])
         slots, num_tones = (*batch, cfg.slots), self.field.num_tones
         power, log_power_weight = uniform_prior(priors.power_max, cfg.power_points)
         objects = Objects(
-            state=centre.expand(*slots, cfg.particles, -1),
-            log_weight=centre.new_full((*slots, cfg.particles), -math.log(cfg.particles)),
+            state=self._idle.expand(*slots, -1, -1),
+            log_weight=self._idle.new_full((*slots, cfg.particles), -math.log(cfg.particles)),
             power=power.unsqueeze(-3).expand(*slots, num_tones, -1),
             log_power_weight=log_power_weight.unsqueeze(-3).expand(*slots, num_tones, -1),
-            log_odds=centre.new_full(slots, -torch.inf),
-            label=torch.zeros(slots, dtype=torch.int64, device=centre.device),
+            log_odds=self._idle.new_full(slots, -torch.inf),
+            label=torch.zeros(slots, dtype=torch.int64, device=self._idle.device),
         )
         noise = Noise(*uniform_prior(priors.noise_max, cfg.noise_points))
-        return TrackerState(objects, noise, torch.ones(batch, dtype=torch.int64, device=centre.device))
+        return TrackerState(objects, noise, torch.ones(batch, dtype=torch.int64, device=self._idle.device))
 
     def run(
         self,
@@ -227,9 +235,12 @@ class DirectTracker:
         even = torch.full_like(objects.log_weight, -math.log(cfg.particles))
         particles = roughen(particles, even, draws, cfg.roughening)
         poor = size < cfg.resample_below * cfg.particles
+        state = torch.where(poor[..., None, None], particles, objects.state)
+        log_weight = torch.where(poor[..., None], even, objects.log_weight)
+        empty = objects.log_odds.isneginf()
         return objects._replace(
-            state=torch.where(poor[..., None, None], particles, objects.state),
-            log_weight=torch.where(poor[..., None], even, objects.log_weight),
+            state=torch.where(empty[..., None, None], self._idle, state),
+            log_weight=torch.where(empty[..., None], even, log_weight),
         )
 
 

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 
+from torchdt.config import TrackerConfig
 from torchdt.errors import InputError
+from torchdt.field.base import Field
 from torchdt.history import TrackHistory
 from torchdt.model.measurement import Measurement, from_covariance, from_snapshots
 from torchdt.model.prior import Priors, data_priors, data_scale
+from torchdt.model.region import Region
 from torchdt.random import RandomStreams
 from torchdt.scenario.recording import Recording
 from torchdt.tracker import DirectTracker
@@ -31,13 +34,18 @@ class Prepared:
     scale: Tensor
 
 
-def prepare(recording: Recording, tracker: DirectTracker) -> Prepared:
+def prepare(recording: Recording, field: Field, region: Region, config: TrackerConfig) -> Prepared:
     """Scale a recording and set the priors that the configuration leaves to the data.
+
+    Args:
+        recording: B sequences.
+        field: what the tones and sensors of the recording must fit.
+        region: gives type and device of the result.
+        config: limits of the priors, where they are set.
 
     Raises:
         InputError: where tones or sensors differ from the field's, or a recording is zero throughout.
     """
-    field, region, config = tracker.field, tracker.region, tracker.config
     for key, found, expected in (
         ("tones", recording.num_tones, field.num_tones),
         ("sensors", recording.num_sensors, field.num_sensors),
@@ -89,8 +97,8 @@ def track(
         InputError: where the recording does not fit the field.
         NumericalError: where the filter broke down.
     """
-    prepared = prepare(recording, tracker)
     region = tracker.region
+    prepared = prepare(recording, tracker.field, region, tracker.config)
     filter_seeds = [derive_seed(seed, "filter") for seed in seeds]
     streams = RandomStreams.from_seeds(
         filter_seeds, (recording.batch_size,), region.low.dtype, region.low.device

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchdt.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics
 from torchdt.field.base import Field
+from torchdt.field.stacked import StackedField
 from torchdt.model.measurement import Measurement
 from torchdt.model.region import Region
 
@@ -16,7 +17,7 @@ class Dictionary(NamedTuple):
 
     Attributes:
         points: `(C, d)` positions.
-        response: `(I, C, M)` complex.
+        response: `(I, C, M)` complex, or `(B, I, C, M)` with a field per sequence.
     """
 
     points: Tensor
@@ -26,9 +27,14 @@ class Dictionary(NamedTuple):
 def build_dictionary(field: Field, region: Region) -> Dictionary:
     """Evaluate a field on the region's grid of birth cells."""
     points = region.cell_centres()
+    if isinstance(field, StackedField):
+        return Dictionary(points, torch.stack([_responses(f, points) for f in field.fields]))
+    return Dictionary(points, _responses(field, points))
+
+
+def _responses(field: Field, points: Tensor) -> Tensor:
     with torch.no_grad():
-        response = torch.cat([field(part).transpose(0, 1) for part in points.split(4096)], dim=1)
-    return Dictionary(points, response.contiguous())
+        return torch.cat([field(part).transpose(0, 1) for part in points.split(4096)], dim=1).contiguous()
 
 
 def bartlett_surface(dictionary: Dictionary, measurement: Measurement) -> Tensor:
@@ -52,14 +58,12 @@ def likelihood_surface(dictionary: Dictionary, whitener: Whitener) -> Tensor:
     This is the score of multi-frequency matching pursuit with the residual whitened by everything that
     is already explained, instead of projected off it.
     """
-    surfaces = [
-        peak_log_likelihood_ratio(J[..., None], *statistics(Whitener(projection, J), dictionary.response))[
-            0
-        ].sum(-2)
-        for projection, J in zip(
-            whitener.projection.reshape(-1, *whitener.projection.shape[-3:]),
-            whitener.num_snapshots.reshape(-1, whitener.num_snapshots.shape[-1]),
-            strict=True,
-        )
-    ]
-    return torch.stack(surfaces).reshape(*whitener.num_snapshots.shape[:-1], -1)
+    batch = whitener.num_snapshots.shape[:-1]
+    responses = dictionary.response.expand(*batch, *dictionary.response.shape[-3:])
+    flat = (t.flatten(0, len(batch) - 1) if batch else t[None] for t in (*whitener, responses))
+    # One sequence at a time: the projected dictionary is the largest tensor of all.
+    surfaces = []
+    for projection, J, response in zip(*flat, strict=True):
+        s, q = statistics(Whitener(projection, J), response)
+        surfaces.append(peak_log_likelihood_ratio(J[..., None], s, q)[0].sum(-2))
+    return torch.stack(surfaces).reshape(*batch, -1)

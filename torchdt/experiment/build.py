@@ -8,17 +8,23 @@ import torch
 from hydra.utils import instantiate
 from torch import Generator, Tensor
 
+from torchdt.calibration.environment import calibrate
 from torchdt.errors import InputError
 from torchdt.experiment.settings import TrackSettings
 from torchdt.field.base import Field
 from torchdt.field.build import EnvironmentDraw
+from torchdt.field.family import WaveguideFamily, draw_of
+from torchdt.field.stacked import StackedField
+from torchdt.field.waveguide import NormalModeField
+from torchdt.model.measurement import Measurement
+from torchdt.model.prior import Priors
 from torchdt.model.region import Coordinate, Region
 from torchdt.scenario.npz import read_npz
 from torchdt.scenario.recording import Recording, validate
 from torchdt.scenario.settings import MismatchSettings
 from torchdt.scenario.simulate import simulate_snapshots
 from torchdt.tracker import DirectTracker
-from torchdt.tracking import generator
+from torchdt.tracking import generator, prepare
 
 log = logging.getLogger(__name__)
 ARRAY_KEYS = ("freqs", "element_depths", "sensor_positions")
@@ -110,25 +116,75 @@ def build_tracker(settings: TrackSettings, recording: Recording) -> DirectTracke
     Raises:
         InputError: where truth or array do not fit the scenario.
     """
-    target = settings.field
     known = {key: getattr(recording, key) for key in ARRAY_KEYS}
     overrides = {
-        key: value.tolist() for key, value in known.items() if isinstance(value, Tensor) and key in target
+        key: value.tolist()
+        for key, value in known.items()
+        if isinstance(value, Tensor) and key in settings.field
     }
-    field = build_field(target, settings.torch_dtype, settings.device, **overrides)
+    target = {**settings.field, **overrides}
+    field = build_field(target, settings.torch_dtype, settings.device)
+    region = build_region(settings, settings.torch_dtype)
+    if region.num_coordinates != field.num_coordinates:
+        found, expected = f"{region.num_coordinates} coordinates", f"{field.num_coordinates}, as the field"
+        raise InputError.of_key("scenario.coordinates", found, expected)
+    if recording.truth is not None and recording.truth.shape[-1] != region.num_coordinates:
+        found = f"{recording.truth.shape[-1]} coordinates"
+        raise InputError.of_key("truth", found, f"{region.num_coordinates}, as the scenario")
+    if settings.calibration.enabled:
+        field = calibrated_field(settings, recording, target, field)
+    return DirectTracker(field, region, recording.step_s, settings.tracker)
+
+
+def build_region(settings: TrackSettings, dtype: torch.dtype) -> Region:
+    """The scenario's region of interest.
+
+    Raises:
+        InputError: where a coordinate does not make sense.
+    """
     try:
         coordinates = [Coordinate(**vars(c)) for c in settings.scenario.coordinates]
     except ValueError as error:
         raise InputError(f"key 'scenario.coordinates': {error}") from error
-    region = Region(coordinates, settings.torch_dtype, settings.device)
-    if region.num_coordinates != field.num_coordinates:
-        raise InputError.of_key(
-            "scenario.coordinates",
-            f"{region.num_coordinates} coordinates",
-            f"{field.num_coordinates}, as the field",
+    return Region(coordinates, dtype, settings.device)
+
+
+def calibrated_field(
+    settings: TrackSettings, recording: Recording, target: dict[str, Any], nominal: Field
+) -> Field:
+    """Fit the environment of each sequence; the nominal field where that finds nothing to mend."""
+    config = settings.calibration
+    eofs = target.get("eofs")
+    if not isinstance(nominal, NormalModeField) or eofs is None:
+        raise InputError.of_key("calibration.enabled", True, "false: this field has no environment to fit")
+
+    def solve(draw: EnvironmentDraw, dtype: torch.dtype = torch.float64) -> NormalModeField:
+        field = build_field(target, dtype, settings.device, draw=draw)
+        assert isinstance(field, NormalModeField)
+        return field
+
+    num_eofs = len(eofs["functions"][0])
+    family = WaveguideFamily(
+        solve, [config.eof_std] * num_eofs, config.tilt_std_deg, config.water_depth_std_m
+    )
+    region = build_region(settings, torch.float64)
+    prepared = prepare(recording, nominal, region, settings.tracker)
+    threshold = settings.tracker.pick_threshold(region.num_cells)
+    fields: list[Field] = []
+    for run in range(recording.batch_size):
+        theta = calibrate(
+            family,
+            region,
+            Measurement(*(t[run] for t in prepared.measurement)),
+            Priors(*(t[run] for t in prepared.priors)),
+            config,
+            threshold,
+            generator(settings.seed + run, "calibration"),
         )
-    if recording.truth is not None and recording.truth.shape[-1] != region.num_coordinates:
-        raise InputError.of_key(
-            "truth", f"{recording.truth.shape[-1]} coordinates", f"{region.num_coordinates}, as the scenario"
+        names = [f"EOF {i + 1}" for i in range(num_eofs)] + ["tilt (deg)", "water depth (m)"]
+        found = ", ".join(f"{name} {value:+.2f}" for name, value in zip(names, theta.tolist(), strict=True))
+        log.info(
+            "sequence %d: environment departs from nominal by %s", run, found if theta.any() else "nothing"
         )
-    return DirectTracker(field, region, recording.step_s, settings.tracker)
+        fields.append(solve(draw_of(theta), settings.torch_dtype) if theta.any() else nominal)
+    return nominal if all(f is nominal for f in fields) else StackedField(fields)

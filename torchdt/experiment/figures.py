@@ -43,7 +43,7 @@ def draw_figures(
         figures["gospa"] = gospa_figure(score.select(0), times, coordinates[0].unit)
     if len(coordinates) <= 2:
         step = min(settings.logging.surface_step, recording.num_steps - 1)
-        measurement = prepare(recording, tracker).measurement.at(step)
+        measurement = prepare(recording, tracker.field, tracker.region, tracker.config).measurement.at(step)
         surface = bartlett_surface(tracker.dictionary, measurement)[0].reshape(tracker.region.grid_shape)
         decibels = 10 * surface.clamp_min(torch.finfo(surface.dtype).tiny).log10().cpu()
         centres = tracker.dictionary.points.reshape(*tracker.region.grid_shape, -1).cpu()

@@ -8,6 +8,7 @@ import torch
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
+from torchdt.calibration.environment import CalibrationConfig
 from torchdt.config import TrackerConfig
 from torchdt.errors import require
 from torchdt.scenario.settings import ScenarioSettings
@@ -58,6 +59,7 @@ class TrackSettings:
 
     scenario: ScenarioSettings = dataclasses.field(default_factory=ScenarioSettings)
     field: Any = None
+    calibration: CalibrationConfig = dataclasses.field(default_factory=CalibrationConfig)
     tracker: TrackerConfig = dataclasses.field(default_factory=TrackerConfig)
     data: DataSettings = dataclasses.field(default_factory=DataSettings)
     logging: LoggingSettings = dataclasses.field(default_factory=LoggingSettings)

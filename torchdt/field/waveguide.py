@@ -80,11 +80,11 @@ class NormalModeField(nn.Module):
         self.num_tones = len(freqs)
         self.num_sensors = len(sensor_depths)
         self.normalize = normalize
-        self.water_depth = bottom
+        self.water_depth: float | Tensor = bottom
         self.tilt = tilt
 
         tables = [solve_modes(environment, float(f), max_phase_speed) for f in freqs]
-        self._num_modes = [len(table.wavenumber) for table in tables]
+        self.mode_counts = [len(table.wavenumber) for table in tables]
         wavenumber = torch.cat([torch.tensor(table.wavenumber) for table in tables])
         depths = torch.tensor(list(sensor_depths), dtype=torch.float64)
         shapes = torch.cat([_interleave(table) for table in tables], dim=1)
@@ -93,7 +93,7 @@ class NormalModeField(nn.Module):
             ("_shapes", shapes, real),
             ("_loss", torch.cat([torch.tensor(table.attenuation) for table in tables]), real),
             ("_cycles", -wavenumber / (2 * math.pi), torch.float64),
-            ("_receivers", (_interpolate(shapes, depths / bottom) / wavenumber.sqrt()).T, torch.float64),
+            ("_receivers", (interpolate_modes(shapes, depths / bottom) / wavenumber.sqrt()).T, torch.float64),
             ("_heights", depths.max() - depths, torch.float64),
         ):
             self.register_buffer(name, value.to(device, kind), persistent=False)
@@ -126,7 +126,7 @@ class NormalModeField(nn.Module):
                 f"expected (*batch, 2 or more) of {self._shapes.dtype}"
             )
         folded = self._fold() if self._folded is None else self._folded
-        receivers = folded.split([2 * n for n in self._num_modes])
+        receivers = folded.split([2 * n for n in self.mode_counts])
         chunk_size = _CHUNK_CPU if state.device.type == "cpu" else _CHUNK_DEVICE
         chunks = state[..., :2].reshape(-1, 2).split(chunk_size)
         response = torch.cat([self._respond(chunk, receivers) for chunk in chunks])
@@ -136,10 +136,11 @@ class NormalModeField(nn.Module):
     def _respond(self, position: Tensor, receivers: Sequence[Tensor]) -> Tensor:
         """`(S, 2)` positions to `(S, I, 2 M)` responses, real and imaginary parts alternating."""
         distance = position[:, 0].clamp(min=MIN_RANGE)
-        depth = position[:, 1].clamp(MIN_DEPTH, self.water_depth)
+        depth = position[:, 1].clamp(min=MIN_DEPTH)
+        depth = torch.minimum(depth, torch.as_tensor(self.water_depth).to(depth))
         cycles = (distance.double()[:, None] * self._cycles).frac_()
         phase = 2 * math.pi * cycles.to(position.dtype)
-        amplitude = _interpolate(self._shapes, depth / self.water_depth)
+        amplitude = interpolate_modes(self._shapes, depth / self.water_depth)
         amplitude = amplitude * torch.exp(-distance[:, None] * self._loss)
         modes = torch.stack([amplitude * torch.cos(phase), amplitude * torch.sin(phase)], dim=-1).flatten(1)
         parts = modes.split([len(rows) for rows in receivers], dim=1)
@@ -167,7 +168,7 @@ def _interleave(table: ModeTable) -> Tensor:
     return pair.flatten(0, 1)
 
 
-def _interpolate(shapes: Tensor, fraction: Tensor) -> Tensor:
+def interpolate_modes(shapes: Tensor, fraction: Tensor) -> Tensor:
     """Cubic Hermite interpolation, once continuously differentiable.
 
     Args:

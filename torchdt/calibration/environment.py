@@ -1,0 +1,139 @@
+"""Calibrate a waveguide to a recording before tracking in it."""
+
+import logging
+from dataclasses import dataclass
+
+import torch
+from scipy.stats import chi2
+from torch import Generator, Tensor
+
+from torchdt.calibration.focalise import focalise
+from torchdt.detect.dictionary import build_dictionary
+from torchdt.errors import require
+from torchdt.field.family import WaveguideFamily
+from torchdt.field.waveguide import NormalModeField
+from torchdt.model.gamma_chain import uniform_prior
+from torchdt.model.measurement import Measurement
+from torchdt.model.prior import Priors
+from torchdt.model.region import Region
+from torchdt.proposal.newborn import Picks, search
+from torchdt.state import Noise
+
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class CalibrationConfig:
+    """How the environment is fitted.
+
+    Attributes:
+        enabled: fit it at all.
+        steps: number of time steps used, evenly spread.
+        sources: sources per step used, at most.
+        passes: of detecting sources in the fitted environment and fitting again.
+        false_alarm: probability of leaving the nominal environment where it is the true one.
+        eof_std: prior standard deviation of each sound-speed EOF coefficient.
+        tilt_std_deg, water_depth_std_m: prior standard deviations of array tilt and water depth.
+    """
+
+    enabled: bool = False
+    steps: int = 24
+    sources: int = 3
+    passes: int = 2
+    false_alarm: float = 1e-5
+    eof_std: float = 1.0
+    tilt_std_deg: float = 1.0
+    water_depth_std_m: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "sources", "passes"):
+            require(
+                getattr(self, name) >= 1, f"calibration.{name}", getattr(self, name), "a positive integer"
+            )
+        for name in ("eof_std", "tilt_std_deg", "water_depth_std_m"):
+            require(getattr(self, name) > 0, f"calibration.{name}", getattr(self, name), "a positive number")
+        require(0 < self.false_alarm < 1, "calibration.false_alarm", self.false_alarm, "a probability")
+
+
+def calibrate(
+    family: WaveguideFamily,
+    region: Region,
+    measurement: Measurement,
+    priors: Priors,
+    config: CalibrationConfig,
+    pick_threshold: float,
+    stream: Generator,
+) -> Tensor:
+    """Fit the environment of one recording.
+
+    Sources are detected in the present environment in a few steps of the recording, then environment and
+    positions are fitted together. The nominal environment stays where the fit does not improve on it by
+    more than chance would.
+
+    Args:
+        family: environments.
+        region: of interest, float64.
+        measurement: statistics of batch `(K,)`, complex128.
+        priors: without batch.
+        config: settings.
+        pick_threshold: log-likelihood ratio a source must reach.
+        stream: random numbers for refining detections.
+
+    Returns:
+        Parameters `(T,)` float64 of the environment; all zero is the nominal one.
+    """
+    num_steps = measurement.num_snapshots.shape[0]
+    chosen = torch.linspace(0, num_steps - 1, min(config.steps, num_steps)).round().long()
+    part = Measurement(*(t[chosen] for t in measurement))
+    theta = torch.zeros_like(family.prior_std)
+    field = family.solve(theta)
+    # Positions are found to a fraction of a cell; that is also how far a wrong environment moves them.
+    scale = region.cell / 4
+    for _ in range(config.passes):
+        picks = _detect(field, region, part, priors, config, pick_threshold, stream)
+        if picks is None:
+            break
+        start = (family.linearise(theta), family.prior_std, theta, picks.position, picks.active, part, scale)
+        fitted = focalise(*start)
+        fixed = focalise(*start, free_environment=False)
+        gain = float(fitted.log_posterior - fixed.log_posterior)
+        log.info(
+            "environment fit gains %.1f nats, leaves %.2g of the energy", gain, float(fitted.leftover.mean())
+        )
+        if gain < 0.5 * chi2.isf(config.false_alarm, len(theta)):
+            break
+        theta = fitted.theta
+        field = family.solve(theta)
+    return theta
+
+
+def _detect(
+    field: NormalModeField,
+    region: Region,
+    measurement: Measurement,
+    priors: Priors,
+    config: CalibrationConfig,
+    pick_threshold: float,
+    stream: Generator,
+) -> Picks | None:
+    """Sources of each step by matching pursuit."""
+    size = measurement.num_snapshots.shape[0]
+    signal = torch.zeros_like(measurement.factor[..., :1] * measurement.factor[..., :1].mH)
+    noise = Noise(*uniform_prior(priors.noise_max.expand(size, -1), 64))
+    free = torch.full((size,), config.sources, device=signal.device)
+    draws = torch.randn(
+        size, config.sources, 6, 128, region.num_coordinates, generator=stream, dtype=torch.float64
+    )
+    dictionary = build_dictionary(field, region)
+    with torch.no_grad():
+        return search(
+            field,
+            region,
+            dictionary,
+            measurement,
+            signal,
+            noise,
+            free,
+            pick_threshold,
+            draws.to(signal.device),
+        )[0]
