@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from torchdt.errors import require
 
 SCHEDULES = ("sequential", "flooding")
+PROPOSALS = ("adapted", "prior")
 
 
 @dataclass
@@ -26,6 +27,7 @@ class TrackerConfig:
         prune: T_pru, existence probability below which an object is dropped.
         sweeps: BP passes over all objects per step.
         schedule: `sequential` (strongest first) or `flooding`.
+        proposal: `adapted` to the likelihood, or `prior`: particles as predicted, new ones uniform in a cell.
         rounds: rounds of fitting a proposal, at most.
         round_size: sample size of each round.
         roughening: kernel width after resampling, in standard deviations of the particle set.
@@ -48,6 +50,7 @@ class TrackerConfig:
     prune: float = 1e-2
     sweeps: int = 2
     schedule: str = "sequential"
+    proposal: str = "adapted"
     rounds: int = 6
     round_size: int = 128
     roughening: float = 0.1
@@ -79,6 +82,7 @@ class TrackerConfig:
         for name in ("roughening", "resample_below"):
             self._require(name, 0 <= getattr(self, name) <= 1, "a number from 0 to 1")
         self._require("likelihood_power", 0 < self.likelihood_power <= 1, "a number above 0, up to 1")
+        self._require("proposal", self.proposal in PROPOSALS, " or ".join(PROPOSALS))
         self._require("schedule", self.schedule in SCHEDULES, " or ".join(SCHEDULES))
 
     def _require(self, name: str, holds: bool, expected: str) -> None:

@@ -14,7 +14,7 @@ from torchdt.detect.dictionary import build_dictionary
 from torchdt.field.base import Field
 from torchdt.history import TrackHistory
 from torchdt.model.gamma_chain import predict_chain, uniform_prior
-from torchdt.model.kinematics import predict_log_odds, predict_state
+from torchdt.model.kinematics import drop_outside, predict_log_odds, predict_state
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
@@ -114,46 +114,74 @@ class DirectTracker:
         cfg = self.config
         measurement = measurement.tempered(cfg.likelihood_power)
         known, noise = self._predict(state, streams)
-        moved, born, explore = self._draws(streams)
-        beliefs = initial_beliefs(known, respond(self.field, known.state), noise)
+        for_known, for_newborn, for_picks = self._draws(streams)
+        response = respond(self.field, known.state)
+        beliefs = initial_beliefs(known, response, noise)
         log_evidence = gaussian_evidence(beliefs, measurement)
-        known, response, beliefs = propose_adapted(
-            self.field, self.region, known, beliefs, measurement, moved
+        known, response, beliefs = self._update_known(known, response, beliefs, measurement, for_known)
+        objects, response, beliefs = self._add_newborn(
+            known, response, beliefs, noise, measurement, priors, for_picks, for_newborn
         )
+        beliefs = update(
+            objects, response, noise, measurement, sweeps=cfg.sweeps, schedule=cfg.schedule, initial=beliefs
+        )
+        return self._conclude(objects, beliefs, state, log_evidence, streams)
+
+    def _update_known(
+        self, known: Objects, response: Tensor, beliefs: Beliefs, measurement: Measurement, draws: Draws
+    ) -> tuple[Objects, Tensor, Beliefs]:
+        """First sweep over the known objects, so that new ones are looked for in what these leave."""
+        cfg = self.config
+        if cfg.proposal == "adapted":
+            return propose_adapted(self.field, self.region, known, beliefs, measurement, draws)
+        known = known._replace(log_weight=drop_outside(known.state, known.log_weight, self.region))
+        first = update(
+            known, response, beliefs.noise, measurement, sweeps=1, schedule=cfg.schedule, initial=beliefs
+        )
+        return known, response, first
+
+    def _add_newborn(
+        self,
+        known: Objects,
+        response: Tensor,
+        beliefs: Beliefs,
+        noise: Noise,
+        measurement: Measurement,
+        priors: Priors,
+        for_picks: Tensor,
+        draws: Draws,
+    ) -> tuple[Objects, Tensor, Beliefs]:
+        """Known and new objects together, with their responses and beliefs."""
+        cfg, dim = self.config, known.log_odds.ndim - 1
+        adapted = cfg.proposal == "adapted"
+        field, region, threshold = self.field, self.region, self.pick_threshold
         signal = signal_covariance(beliefs.strength, beliefs.moment)
         free = cfg.slots - known.log_odds.isfinite().sum(-1)
         picks, explained = search(
-            self.field,
-            self.region,
+            field,
+            region,
             self.dictionary,
             measurement,
             signal,
             noise,
             free,
-            self.pick_threshold,
-            explore,
+            threshold,
+            for_picks,
+            refine=adapted,
         )
         beliefs = beliefs._replace(noise=explained)
-        if picks is not None:
-            power_prior = uniform_prior(priors.power_max, cfg.power_points)
-            new, new_response = propose_newborn(
-                self.field,
-                self.region,
-                measurement,
-                signal,
-                picks,
-                explained,
-                power_prior,
-                self.birth_log_odds,
-                born,
-            )
-            beliefs = _join_beliefs(beliefs, initial_beliefs(new, new_response, explained))
-            known = Objects(*_join(known, new, picks.active.ndim - 1))
-            response = torch.cat([response, new_response], picks.active.ndim - 1)
-        beliefs = update(
-            known, response, noise, measurement, sweeps=cfg.sweeps, schedule=cfg.schedule, initial=beliefs
+        if picks is None:
+            return known, response, beliefs
+        power = uniform_prior(priors.power_max, cfg.power_points)
+        odds = self.birth_log_odds
+        new, new_response = propose_newborn(
+            field, region, measurement, signal, picks, explained, power, odds, draws, adapted=adapted
         )
-        return self._conclude(known, beliefs, state, log_evidence, streams)
+        return (
+            Objects(*_join(known, new, dim)),
+            torch.cat([response, new_response], dim),
+            _join_beliefs(beliefs, initial_beliefs(new, new_response, explained)),
+        )
 
     def _predict(self, state: TrackerState, streams: RandomStreams) -> tuple[Objects, Noise]:
         """Predicted objects, strongest first and without the slots that are empty throughout, and noise."""
@@ -162,7 +190,7 @@ class DirectTracker:
         driving = streams.normal(cfg.slots, cfg.particles, d)
         moved = predict_state(old.state, driving, self.step_s, self.region.driving_variance)
         power, log_power_weight = predict_chain(old.power, old.log_power_weight, cfg.power_shape)
-        log_odds = predict_log_odds(old.log_odds, cfg.survival, torch.zeros_like(old.log_odds))
+        log_odds = predict_log_odds(old.log_odds, cfg.survival)
         objects = Objects(moved, old.log_weight, power, log_power_weight, log_odds, old.label)
         occupied = max(1, int(log_odds.isfinite().sum(-1).max()))
         noise = Noise(*predict_chain(state.noise.variance, state.noise.log_weight, cfg.noise_shape))

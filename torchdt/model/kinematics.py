@@ -27,31 +27,25 @@ def predict_state(state: Tensor, driving: Tensor, step_s: float, driving_varianc
     return torch.cat([position + step_s * rate + 0.5 * step_s**2 * q, rate + step_s * q], dim=-1)
 
 
-def predict_log_odds(log_odds: Tensor, survival: Tensor | float, log_mass_inside: Tensor) -> Tensor:
-    """Existence after one step: `r' = p_s r m`, with m the predicted mass inside the region.
+def predict_log_odds(log_odds: Tensor, survival: Tensor | float) -> Tensor:
+    """Existence after one step: `r' = p_s r`, in log-odds.
 
     Args:
         log_odds: `(*batch, N)`.
         survival: p_s, a probability.
-        log_mass_inside: `(*batch, N)` log m, at most 0.
     """
     survival = torch.as_tensor(survival, dtype=log_odds.dtype, device=log_odds.device)
-    log_r = logsigmoid(log_odds) + survival.log() + log_mass_inside.clamp_max(0.0)
+    log_r = logsigmoid(log_odds) + survival.log()
     return log_r - torch.log1p(-log_r.exp())
 
 
-def drop_outside(state: Tensor, log_weight: Tensor, region: Region) -> tuple[Tensor, Tensor]:
+def drop_outside(state: Tensor, log_weight: Tensor, region: Region) -> Tensor:
     """Take the weight from particles that left the region.
+
+    The weights are not renormalised: what is lost is the probability that the object left.
 
     Args:
         state: `(*batch, P, D)`.
-        log_weight: `(*batch, P)` normalised.
-
-    Returns:
-        Renormalised log-weights `(*batch, P)` and the log of the mass that stayed inside, `(*batch,)`.
-        Where nothing stayed the mass is minus infinity and the weights are left as they were.
+        log_weight: `(*batch, P)`.
     """
-    kept = torch.where(region.contains(state), log_weight, -torch.inf)
-    log_mass = torch.logsumexp(kept, -1)
-    gone = log_mass.isneginf()[..., None]
-    return torch.where(gone, log_weight, kept - log_mass[..., None]), log_mass
+    return torch.where(region.contains(state), log_weight, -torch.inf)

@@ -12,6 +12,7 @@ from torchdt.bp.moments import response_moment, without
 from torchdt.bp.rank_one import whiten
 from torchdt.bp.schedule import Beliefs, as_belief, background, store, take
 from torchdt.field.base import Field
+from torchdt.model.kinematics import drop_outside
 from torchdt.model.measurement import Measurement
 from torchdt.model.region import Region
 from torchdt.particles.adaptive import Gaussian, adapt
@@ -76,7 +77,7 @@ def propose_adapted(
             take(draws.rounds, index),
             take(draws.final, index),
         )
-        log_weight = torch.where(region.contains(state), log_weight, -torch.inf)
+        log_weight = drop_outside(state, log_weight, region)
         response = respond(field, state)
         belief = object_belief(whitener, response, power, slot_prior._replace(log_weight=log_weight))
         beliefs = store(beliefs, index, belief, power, response_moment(response, belief.log_weight))

@@ -51,6 +51,8 @@ def search(
     free: Tensor,
     threshold: float,
     rounds: Tensor,
+    *,
+    refine: bool = True,
 ) -> tuple[Picks | None, Noise]:
     """Pick cells and refine them.
 
@@ -61,6 +63,7 @@ def search(
         free: `(*batch,)` int64, how many new objects there is room for.
         threshold: smallest log-likelihood ratio at its peak that is worth a new object.
         rounds: `(*batch, Q, rounds, S, d)` standard normal draws; Q is the largest number of picks.
+        refine: look for the peak between the grid's points; else a pick stays at the centre of its cell.
 
     Returns:
         The picks, as many as any batch element needs (None if no element needs any), and the noise belief
@@ -74,7 +77,9 @@ def search(
         active = (score > threshold) & (pick < free)
         if not bool(active.any()):
             break
-        position = _refine(field, region, whitener, dictionary.points[cell], rounds[..., pick, :, :, :])
+        position = dictionary.points[cell]
+        if refine:
+            position = _refine(field, region, whitener, position, rounds[..., pick, :, :, :])
         response = respond(field, position[..., None, :])
         s, q = statistics(whitener, response)
         _, power = peak_log_likelihood_ratio(whitener.num_snapshots, s[..., 0], q[..., 0])
@@ -111,6 +116,8 @@ def propose_newborn(
     power_prior: tuple[Tensor, Tensor],
     log_odds: float,
     draws: Draws,
+    *,
+    adapted: bool = True,
 ) -> tuple[Objects, Tensor]:
     """New objects in one cell around each pick, with particles where prior and likelihood meet.
 
@@ -123,6 +130,7 @@ def propose_newborn(
         power_prior: support points and log-weights `(*batch, I, G)`.
         log_odds: prior log-odds of an object in one cell.
         draws: at least as many as picks.
+        adapted: fit the proposal to the likelihood; else particles are drawn from the prior.
 
     Returns:
         Objects of batch `(*batch, Q)` (log-odds minus infinity where a pick is inactive) and their
@@ -141,11 +149,11 @@ def propose_newborn(
     def log_likelihood(position: Tensor) -> Tensor:
         return state_message(whitener, respond(field, position), power, log_power_weight)
 
-    mixture = adapt(log_likelihood, prior, rounds.movedim(-3, 0))
+    proposal = adapt(log_likelihood, prior, rounds.movedim(-3, 0)) if adapted else prior
     d = region.num_coordinates
-    position = mixture.sample(final[..., :d])
+    position = proposal.sample(final[..., :d])
     rate = region.rate_low + (region.rate_high - region.rate_low) * torch.special.ndtr(final[..., d:])
-    log_weight = prior.log_prob(position) - mixture.log_prob(position) - math.log(final.shape[-2])
+    log_weight = prior.log_prob(position) - proposal.log_prob(position) - math.log(final.shape[-2])
     state = torch.cat([position, rate], -1)
     odds = torch.where(picks.active, torch.full_like(picks.position[..., 0], log_odds), -torch.inf)
     label = torch.zeros(picks.active.shape, dtype=torch.int64, device=state.device)
