@@ -154,7 +154,7 @@ class DirectTracker:
         """Known and new objects together, with their responses and beliefs."""
         cfg, dim = self.config, known.log_odds.ndim - 1
         adapted = cfg.proposal == "adapted"
-        field, region, threshold = self.field, self.region, self.pick_threshold
+        field, region, limit = self.field, self.region, self.pick_threshold
         signal = signal_covariance(beliefs.strength, beliefs.moment)
         free = cfg.slots - known.log_odds.isfinite().sum(-1)
         picks, explained = search(
@@ -165,7 +165,7 @@ class DirectTracker:
             signal,
             noise,
             free,
-            threshold,
+            limit,
             for_picks,
             refine=adapted,
         )
