@@ -54,7 +54,13 @@ class Noise(NamedTuple):
 
 
 class TrackerState(NamedTuple):
-    """Everything a tracker needs to go on: beliefs and the next free label, `(*batch,)` int64."""
+    """Everything a tracker needs to go on.
+
+    Attributes:
+        objects: beliefs after the last step.
+        noise: belief predicted for the next step.
+        next_label: `(*batch,)` int64, next free label.
+    """
 
     objects: Objects
     noise: Noise

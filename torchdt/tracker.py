@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchdt.bp.evidence import gaussian_evidence
 from torchdt.bp.moments import signal_covariance
-from torchdt.bp.schedule import Beliefs, initial_beliefs, strongest_first, take, update
+from torchdt.bp.schedule import Beliefs, initial_beliefs, select, strongest_first, take, update
 from torchdt.config import TrackerConfig
 from torchdt.detect.dictionary import build_dictionary
 from torchdt.field.base import Field
@@ -20,8 +21,8 @@ from torchdt.model.prior import Priors
 from torchdt.model.region import Region
 from torchdt.particles.resampling import roughen, systematic_indices
 from torchdt.particles.weights import effective_sample_size
-from torchdt.proposal.moved import Draws, propose_adapted, respond
-from torchdt.proposal.newborn import propose_newborn, search
+from torchdt.proposal.moved import Draws, diffuse_part, propose_adapted, respond
+from torchdt.proposal.newborn import Picks, propose_newborn, search
 from torchdt.random import RandomStreams
 from torchdt.state import Noise, Objects, TrackerState, weighted_mean
 
@@ -113,78 +114,98 @@ class DirectTracker:
         """
         cfg = self.config
         measurement = measurement.tempered(cfg.likelihood_power)
-        known, noise = self._predict(state, streams)
+        known, noise = self._predict(state, streams), state.noise
         for_known, for_newborn, for_picks = self._draws(streams)
         response = respond(self.field, known.state)
-        beliefs = initial_beliefs(known, response, noise)
+        diffuse = diffuse_part(self.field, known.state, known.log_weight)
+        beliefs = initial_beliefs(known, response, noise, diffuse)
         log_evidence = gaussian_evidence(beliefs, measurement)
-        known, response, beliefs = self._update_known(known, response, beliefs, measurement, for_known)
-        objects, response, beliefs = self._add_newborn(
-            known, response, beliefs, noise, measurement, priors, for_picks, for_newborn
-        )
-        beliefs = update(
-            objects, response, noise, measurement, sweeps=cfg.sweeps, schedule=cfg.schedule, initial=beliefs
-        )
-        return self._conclude(objects, beliefs, state, log_evidence, streams)
-
-    def _update_known(
-        self, known: Objects, response: Tensor, beliefs: Beliefs, measurement: Measurement, draws: Draws
-    ) -> tuple[Objects, Tensor, Beliefs]:
-        """First sweep over the known objects, so that new ones are looked for in what these leave."""
-        cfg = self.config
-        if cfg.proposal == "adapted":
-            return propose_adapted(self.field, self.region, known, beliefs, measurement, draws)
-        known = known._replace(log_weight=drop_outside(known.state, known.log_weight, self.region))
-        first = update(
-            known, response, beliefs.noise, measurement, sweeps=1, schedule=cfg.schedule, initial=beliefs
-        )
-        return known, response, first
-
-    def _add_newborn(
-        self,
-        known: Objects,
-        response: Tensor,
-        beliefs: Beliefs,
-        noise: Noise,
-        measurement: Measurement,
-        priors: Priors,
-        for_picks: Tensor,
-        draws: Draws,
-    ) -> tuple[Objects, Tensor, Beliefs]:
-        """Known and new objects together, with their responses and beliefs."""
-        cfg, dim = self.config, known.log_odds.ndim - 1
-        adapted = cfg.proposal == "adapted"
-        field, region, limit = self.field, self.region, self.pick_threshold
-        signal = signal_covariance(beliefs.strength, beliefs.moment)
+        first = self._update_known(known, response, beliefs, measurement, for_known)
+        signal = signal_covariance(first.beliefs.strength, first.beliefs.moment)
         free = cfg.slots - known.log_odds.isfinite().sum(-1)
         picks, explained = search(
-            field,
-            region,
+            self.field,
+            self.region,
             self.dictionary,
             measurement,
             signal,
             noise,
             free,
-            limit,
+            self.pick_threshold,
             for_picks,
-            refine=adapted,
+            refine=cfg.proposal == "adapted",
         )
-        beliefs = beliefs._replace(noise=explained)
-        if picks is None:
-            return known, response, beliefs
-        power = uniform_prior(priors.power_max, cfg.power_points)
-        odds = self.birth_log_odds
-        new, new_response = propose_newborn(
-            field, region, measurement, signal, picks, explained, power, odds, draws, adapted=adapted
+        current = first._replace(beliefs=first.beliefs._replace(noise=explained))
+        if picks is not None:
+            if cfg.proposal == "adapted":
+                # Energy of objects not yet known has pulled at the known ones: place them again without it.
+                found = signal_covariance(picks.power, picks.moment)
+                start = beliefs._replace(noise=explained)
+                again = self._update_known(known, response, start, measurement, for_known, found)
+                current = select(picks.active.any(-1), again, current)
+            current = self._add_newborn(current, picks, measurement, priors, for_newborn)
+        beliefs = update(
+            current.objects,
+            current.response,
+            noise,
+            measurement,
+            sweeps=cfg.sweeps,
+            schedule=cfg.schedule,
+            initial=current.beliefs,
         )
-        return (
-            Objects(*_join(known, new, dim)),
-            torch.cat([response, new_response], dim),
-            _join_beliefs(beliefs, initial_beliefs(new, new_response, explained)),
+        return self._conclude(current.objects, beliefs, state, log_evidence, streams)
+
+    def _update_known(
+        self,
+        known: Objects,
+        response: Tensor,
+        beliefs: Beliefs,
+        measurement: Measurement,
+        draws: Draws,
+        found: Tensor | None = None,
+    ) -> "Placed":
+        """First sweep over the known objects, so that new ones are looked for in what these leave."""
+        cfg = self.config
+        if cfg.proposal == "adapted":
+            return Placed(
+                *propose_adapted(self.field, self.region, known, beliefs, measurement, draws, found)
+            )
+        known = known._replace(log_weight=drop_outside(known.state, known.log_weight, self.region))
+        first = update(
+            known, response, beliefs.noise, measurement, sweeps=1, schedule=cfg.schedule, initial=beliefs
+        )
+        return Placed(known, response, first)
+
+    def _add_newborn(
+        self, known: "Placed", picks: Picks, measurement: Measurement, priors: Priors, draws: Draws
+    ) -> "Placed":
+        """Known and new objects together."""
+        cfg, dim = self.config, picks.active.ndim - 1
+        signal = signal_covariance(known.beliefs.strength, known.beliefs.moment)
+        new, response = propose_newborn(
+            self.field,
+            self.region,
+            measurement,
+            signal,
+            picks,
+            known.beliefs.noise,
+            uniform_prior(priors.power_max, cfg.power_points),
+            self.birth_log_odds,
+            draws,
+            adapted=cfg.proposal == "adapted",
+        )
+        # What a pick sends beside its response is judged by the power it was picked with.
+        newborn = initial_beliefs(new, response, known.beliefs.noise, picks.diffuse)._replace(
+            power=picks.power
+        )
+        return Placed(
+            Objects(*_join(known.objects, new, dim)),
+            torch.cat([known.response, response], dim),
+            _join_beliefs(known.beliefs, newborn),
         )
 
-    def _predict(self, state: TrackerState, streams: RandomStreams) -> tuple[Objects, Noise]:
-        """Predicted objects, strongest first and without the slots that are empty throughout, and noise."""
+    def _predict(self, state: TrackerState, streams: RandomStreams) -> Objects:
+        """Predicted objects, strongest first and without the slots that are empty throughout."""
         cfg, old = self.config, state.objects
         d = self.region.num_coordinates
         driving = streams.normal(cfg.slots, cfg.particles, d)
@@ -193,8 +214,7 @@ class DirectTracker:
         log_odds = predict_log_odds(old.log_odds, cfg.survival)
         objects = Objects(moved, old.log_weight, power, log_power_weight, log_odds, old.label)
         occupied = max(1, int(log_odds.isfinite().sum(-1).max()))
-        noise = Noise(*predict_chain(state.noise.variance, state.noise.log_weight, cfg.noise_shape))
-        return _select(objects, strongest_first(_strength(objects))[..., :occupied]), noise
+        return _select(objects, strongest_first(_strength(objects))[..., :occupied])
 
     def _draws(self, streams: RandomStreams) -> tuple[Draws, Draws, Tensor]:
         """Random numbers of the proposals, always as many, whatever the other sequences of the batch need."""
@@ -225,6 +245,7 @@ class DirectTracker:
         declared = objects.existence > cfg.declare
         fresh = declared & (objects.label == 0)
         label = torch.where(fresh, old.next_label[..., None] + fresh.cumsum(-1) - 1, objects.label)
+        label = torch.where(objects.log_odds.isneginf(), 0, label)
         objects = objects._replace(label=label)
         size = effective_sample_size(objects.log_weight)
         estimate = TrackHistory(
@@ -237,9 +258,8 @@ class DirectTracker:
             effective_sample_size=size,
             log_evidence=log_evidence,
         )
-        state = TrackerState(
-            self._resample(objects, size, streams), beliefs.noise, old.next_label + fresh.sum(-1)
-        )
+        noise = Noise(*predict_chain(beliefs.noise.variance, beliefs.noise.log_weight, cfg.noise_shape))
+        state = TrackerState(self._resample(objects, size, streams), noise, old.next_label + fresh.sum(-1))
         return state, estimate
 
     def _to_slots(self, objects: Objects, empty: Objects) -> Objects:
@@ -272,6 +292,20 @@ class DirectTracker:
         )
 
 
+class Placed(NamedTuple):
+    """Objects with the particles on which this step's messages are computed.
+
+    Attributes:
+        objects: of batch `(*batch, N)`, predicted weights.
+        response: `(*batch, N, I, P, M)` complex.
+        beliefs: current beliefs.
+    """
+
+    objects: Objects
+    response: Tensor
+    beliefs: Beliefs
+
+
 def _strength(objects: Objects) -> Tensor:
     """`r E[gamma]`, minus infinity for empty slots so that they sort last."""
     strength = objects.existence[..., None] * objects.mean_power
@@ -292,8 +326,12 @@ def _join(first: Sequence[Tensor], second: Sequence[Tensor], dim: int) -> list[T
 
 def _join_beliefs(known: Beliefs, new: Beliefs) -> Beliefs:
     dim = known.objects.log_odds.ndim - 1
+    parts = (known.diffuse, new.diffuse)
+    diffuse = [part for part in parts if part is not None]
     return known._replace(
         objects=type(known.objects)(*_join(known.objects, new.objects, dim)),
         moment=torch.cat([known.moment, new.moment], dim),
         strength=torch.cat([known.strength, new.strength], dim),
+        power=torch.cat([known.power, new.power], dim),
+        diffuse=torch.cat(diffuse, dim) if diffuse else None,
     )

@@ -2,8 +2,9 @@
 
 from torch import Tensor
 
-from torchdt.bp.schedule import Beliefs, background
-from torchdt.model.measurement import Measurement, gaussian_log_likelihood
+from torchdt.bp.moments import signal_covariance
+from torchdt.bp.schedule import Beliefs
+from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask_covariance
 
 
 def gaussian_evidence(beliefs: Beliefs, measurement: Measurement) -> Tensor:
@@ -11,4 +12,6 @@ def gaussian_evidence(beliefs: Beliefs, measurement: Measurement) -> Tensor:
 
     Cheap and crude: the predicted mixture is replaced by one Gaussian.
     """
-    return gaussian_log_likelihood(measurement, background(beliefs, beliefs.strength, measurement)).sum(-1)
+    signal = signal_covariance(beliefs.strength, beliefs.moment)
+    covariance = mask_covariance(signal, beliefs.noise.mean, measurement.present)
+    return gaussian_log_likelihood(measurement, covariance).sum(-1)

@@ -6,7 +6,7 @@ the beliefs of the last pass, as loopy BP is usually written; it finds ghosts be
 may oscillate for ever where objects overlap.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -25,14 +25,19 @@ class Beliefs(NamedTuple):
     Attributes:
         objects: `ObjectBelief` of batch `(*batch, N)`.
         noise: noise belief.
-        moment: `(*batch, N, I, M, M)` complex `E[a a^H]`.
+        moment: `(*batch, N, I, M, M)` complex `E[a a^H]`, diffuse part included.
         strength: `(*batch, N, I)` real `r E[gamma]`.
+        power: `(*batch, N, I)` real `E[gamma]` given existence.
+        diffuse: `(*batch, N, I, M, M)` complex covariance, per unit power, of what an object sends beside
+            its modelled response; None where the model is exact.
     """
 
     objects: ObjectBelief
     noise: Noise
     moment: Tensor
     strength: Tensor
+    power: Tensor
+    diffuse: Tensor | None = None
 
 
 def as_belief(objects: Objects) -> ObjectBelief:
@@ -40,11 +45,12 @@ def as_belief(objects: Objects) -> ObjectBelief:
     return ObjectBelief(objects.log_weight, objects.log_power_weight, objects.log_odds)
 
 
-def initial_beliefs(prior: Objects, response: Tensor, noise: Noise) -> Beliefs:
+def initial_beliefs(prior: Objects, response: Tensor, noise: Noise, diffuse: Tensor | None = None) -> Beliefs:
     """Beliefs before any message: the predicted ones."""
     moment = response_moment(response, prior.log_weight)
-    strength = prior.existence[..., None] * prior.mean_power
-    return Beliefs(as_belief(prior), noise, moment, strength)
+    moment = moment if diffuse is None else moment + diffuse
+    power = prior.mean_power
+    return Beliefs(as_belief(prior), noise, moment, prior.existence[..., None] * power, power, diffuse)
 
 
 def strongest_first(strength: Tensor) -> Tensor:
@@ -64,6 +70,22 @@ def put(tensor: Tensor, index: Tensor, value: Tensor) -> Tensor:
     slots = torch.arange(tensor.shape[index.ndim], device=tensor.device) == index[..., None]
     slots = slots.reshape(*slots.shape, *(1 for _ in range(tensor.ndim - slots.ndim)))
     return torch.where(slots, value.unsqueeze(index.ndim), tensor)
+
+
+Tree = TypeVar("Tree", bound=tuple[Any, ...])
+
+
+def select(condition: Tensor, first: Tree, second: Tree) -> Tree:
+    """Take each batch element from one of two (nested) tuples of tensors `(*batch, ...)`."""
+
+    def choose(a: Any, b: Any) -> Any:
+        if isinstance(a, Tensor):
+            return torch.where(
+                condition.reshape(*condition.shape, *(1 for _ in a.shape[condition.ndim :])), a, b
+            )
+        return a if a is None else type(a)(*(choose(x, y) for x, y in zip(a, b, strict=True)))
+
+    return choose(first, second)
 
 
 def update(
@@ -99,9 +121,24 @@ def update(
     return beliefs
 
 
-def background(beliefs: Beliefs, strength: Tensor, measurement: Measurement) -> Tensor:
-    """`Sigma = sum_n strength_n E[a_n a_n^H] + E[eta] I`, `(*batch, I, M, M)`."""
-    signal = signal_covariance(strength, beliefs.moment)
+def background(
+    beliefs: Beliefs, measurement: Measurement, index: Tensor, found: Tensor | None = None
+) -> Tensor:
+    """What one object per batch element is tested against, `(*batch, I, M, M)`.
+
+    `Sigma = sum_{m != n} strength_m E[a_m a_m^H] + E[eta] I`, and the diffuse part of object n itself, at
+    its power given existence: what no response explains must not count as evidence for one.
+
+    Args:
+        beliefs: of all objects.
+        measurement: statistics of the step.
+        index: `(*batch,)` the object.
+        found: `(*batch, I, M, M)` covariance of signals that are no objects yet.
+    """
+    signal = signal_covariance(without(beliefs.strength, index), beliefs.moment)
+    signal = signal if found is None else signal + found
+    if beliefs.diffuse is not None:
+        signal = signal + take(beliefs.power, index)[..., None, None] * take(beliefs.diffuse, index)
     return mask_covariance(signal, beliefs.noise.mean, measurement.present)
 
 
@@ -112,7 +149,7 @@ def _sequential_sweep(
     # Empty slots sort last and have nothing to say; how many there are differs across the batch.
     for visit in range(int(prior.log_odds.isfinite().sum(-1).max())):
         index = order[..., visit]
-        whitener = whiten(measurement, background(beliefs, without(beliefs.strength, index), measurement))
+        whitener = whiten(measurement, background(beliefs, measurement, index))
         slot_response, slot_power = take(response, index), take(prior.power, index)
         slot_prior = ObjectBelief(*(take(t, index) for t in as_belief(prior)))
         slot = object_belief(whitener, slot_response, slot_power, slot_prior)
@@ -121,25 +158,40 @@ def _sequential_sweep(
 
 
 def store(beliefs: Beliefs, index: Tensor, slot: ObjectBelief, power: Tensor, moment: Tensor) -> Beliefs:
-    """Put the new belief of one slot per batch element in its place, with its moments."""
-    strength = torch.sigmoid(slot.log_odds)[..., None] * weighted_mean(power, slot.log_power_weight)
+    """Put the new belief of one slot per batch element in its place, with its moments.
+
+    Args:
+        beliefs: of all objects.
+        index: `(*batch,)` slots.
+        slot: new belief.
+        power: `(*batch, I, G)` power support points.
+        moment: `(*batch, I, M, M)` of the modelled response.
+    """
+    mean_power = weighted_mean(power, slot.log_power_weight)
+    if beliefs.diffuse is not None:
+        moment = moment + take(beliefs.diffuse, index)
+    strength = torch.sigmoid(slot.log_odds)[..., None] * mean_power
     return beliefs._replace(
         objects=ObjectBelief(*(put(old, index, new) for old, new in zip(beliefs.objects, slot, strict=True))),
         moment=put(beliefs.moment, index, moment),
         strength=put(beliefs.strength, index, strength),
+        power=put(beliefs.power, index, mean_power),
     )
 
 
 def _flooding_sweep(prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs) -> Beliefs:
     per_object = measurement.unsqueeze()
     signal = signal_without_each(beliefs.strength, beliefs.moment)
-    whitener = whiten(
-        per_object, mask_covariance(signal, beliefs.noise.mean[..., None, :], per_object.present)
-    )
+    if beliefs.diffuse is not None:
+        signal = signal + beliefs.power[..., None, None] * beliefs.diffuse
+    noise = beliefs.noise.mean[..., None, :]
+    whitener = whiten(per_object, mask_covariance(signal, noise, per_object.present))
     objects = object_belief(whitener, response, prior.power, as_belief(prior))
-    strength = torch.sigmoid(objects.log_odds)[..., None] * weighted_mean(
-        prior.power, objects.log_power_weight
-    )
+    power = weighted_mean(prior.power, objects.log_power_weight)
+    moment = response_moment(response, objects.log_weight)
     return beliefs._replace(
-        objects=objects, moment=response_moment(response, objects.log_weight), strength=strength
+        objects=objects,
+        moment=moment if beliefs.diffuse is None else moment + beliefs.diffuse,
+        strength=torch.sigmoid(objects.log_odds)[..., None] * power,
+        power=power,
     )

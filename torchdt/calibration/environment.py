@@ -2,12 +2,14 @@
 
 import logging
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from scipy.stats import chi2
 from torch import Generator, Tensor
 
 from torchdt.calibration.focalise import focalise
+from torchdt.calibration.share import mismatch_share
 from torchdt.detect.dictionary import build_dictionary
 from torchdt.errors import require
 from torchdt.field.family import WaveguideFamily
@@ -55,6 +57,18 @@ class CalibrationConfig:
         require(0 < self.false_alarm < 1, "calibration.false_alarm", self.false_alarm, "a probability")
 
 
+class Calibration(NamedTuple):
+    """Environment of one recording.
+
+    Attributes:
+        theta: `(T,)` float64 parameters; all zero is the nominal environment.
+        share: `(I,)` float64 share of each tone's energy that responses in it do not cover.
+    """
+
+    theta: Tensor
+    share: Tensor
+
+
 def calibrate(
     family: WaveguideFamily,
     region: Region,
@@ -63,7 +77,7 @@ def calibrate(
     config: CalibrationConfig,
     pick_threshold: float,
     stream: Generator,
-) -> Tensor:
+) -> Calibration:
     """Fit the environment of one recording.
 
     Sources are detected in the present environment in a few steps of the recording, then environment and
@@ -80,7 +94,7 @@ def calibrate(
         stream: random numbers for refining detections.
 
     Returns:
-        Parameters `(T,)` float64 of the environment; all zero is the nominal one.
+        What was found; the nominal environment where no source was.
     """
     num_steps = measurement.num_snapshots.shape[0]
     chosen = torch.linspace(0, num_steps - 1, min(config.steps, num_steps)).round().long()
@@ -89,6 +103,7 @@ def calibrate(
     field = family.solve(theta)
     # Positions are found to a fraction of a cell; that is also how far a wrong environment moves them.
     scale = region.cell / 4
+    share = torch.zeros_like(priors.noise_max)
     for _ in range(config.passes):
         picks = _detect(field, region, part, priors, config, pick_threshold, stream)
         if picks is None:
@@ -100,11 +115,15 @@ def calibrate(
         log.info(
             "environment fit gains %.1f nats, leaves %.2g of the energy", gain, float(fitted.leftover.mean())
         )
-        if gain < 0.5 * chi2.isf(config.false_alarm, len(theta)):
+        significant = gain > 0.5 * chi2.isf(config.false_alarm, len(theta))
+        if significant:
+            theta = fitted.theta
+            field = family.solve(theta)
+        position = fitted.position if significant else fixed.position
+        share = mismatch_share(field, position, picks.active, part)
+        if not significant:
             break
-        theta = fitted.theta
-        field = family.solve(theta)
-    return theta
+    return Calibration(theta, share)
 
 
 def _detect(

@@ -14,7 +14,8 @@ from torchdt.experiment.settings import TrackSettings
 from torchdt.field.base import Field
 from torchdt.field.build import EnvironmentDraw
 from torchdt.field.family import WaveguideFamily, draw_of
-from torchdt.field.stacked import StackedField
+from torchdt.field.mismatch import MismatchedField
+from torchdt.field.stacked import StackedDiffuseField, StackedField
 from torchdt.field.waveguide import NormalModeField
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
@@ -152,7 +153,11 @@ def build_region(settings: TrackSettings, dtype: torch.dtype) -> Region:
 def calibrated_field(
     settings: TrackSettings, recording: Recording, target: dict[str, Any], nominal: Field
 ) -> Field:
-    """Fit the environment of each sequence; the nominal field where that finds nothing to mend."""
+    """Fit the environment of each sequence; one field per sequence.
+
+    Raises:
+        InputError: where the field is no waveguide with EOFs.
+    """
     config = settings.calibration
     eofs = target.get("eofs")
     if not isinstance(nominal, NormalModeField) or eofs is None:
@@ -170,9 +175,10 @@ def calibrated_field(
     region = build_region(settings, torch.float64)
     prepared = prepare(recording, nominal, region, settings.tracker)
     threshold = settings.tracker.pick_threshold(region.num_cells)
-    fields: list[Field] = []
+    names = [f"EOF {i + 1}" for i in range(num_eofs)] + ["tilt (deg)", "water depth (m)"]
+    fields = []
     for run in range(recording.batch_size):
-        theta = calibrate(
+        theta, share = calibrate(
             family,
             region,
             Measurement(*(t[run] for t in prepared.measurement)),
@@ -181,10 +187,13 @@ def calibrated_field(
             threshold,
             generator(settings.seed + run, "calibration"),
         )
-        names = [f"EOF {i + 1}" for i in range(num_eofs)] + ["tilt (deg)", "water depth (m)"]
         found = ", ".join(f"{name} {value:+.2f}" for name, value in zip(names, theta.tolist(), strict=True))
         log.info(
             "sequence %d: environment departs from nominal by %s", run, found if theta.any() else "nothing"
         )
-        fields.append(solve(draw_of(theta), settings.torch_dtype) if theta.any() else nominal)
-    return nominal if all(f is nominal for f in fields) else StackedField(fields)
+        log.info("sequence %d: unexplained share of each tone %s", run, share.tolist())
+        field = solve(draw_of(theta), settings.torch_dtype)
+        fields.append(MismatchedField(field, share.to(settings.torch_dtype)))
+    if any(field.share.any() for field in fields):
+        return StackedDiffuseField(fields)
+    return StackedField([field.field for field in fields])

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torchdt.field.base import Field
+from torchdt.field.mismatch import DiffuseField
 
 
 class StackedField:
@@ -24,3 +25,13 @@ class StackedField:
     def __call__(self, state: Tensor) -> Tensor:
         """Evaluate the responses, `(B, *batch, D)` to `(B, *batch, I, M)`."""
         return torch.stack([field(x) for field, x in zip(self.fields, state, strict=True)])
+
+
+class StackedDiffuseField(StackedField):
+    """The same for fields that say how their responses scatter."""
+
+    fields: tuple[DiffuseField, ...]
+
+    def diffuse(self, state: Tensor) -> Tensor:
+        """Diffuse covariances, `(B, *batch, D)` to `(B, *batch, I, M, M)`."""
+        return torch.stack([field.diffuse(x) for field, x in zip(self.fields, state, strict=True)])

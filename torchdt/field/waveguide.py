@@ -133,15 +133,46 @@ class NormalModeField(nn.Module):
         response = response.reshape(*state.shape[:-1], self.num_tones, self.num_sensors, 2)
         return torch.view_as_complex(response)
 
+    def incoherent(self, state: Tensor) -> Tensor:
+        """Mean of `a a^H` over random mode phases: `sum_n |c_n|^2 psi_n psi_n^H`, scaled to trace `|a|^2`.
+
+        Args:
+            state: `(*batch, D)` real, `D >= 2`: range m, depth m, ...
+
+        Returns:
+            `(*batch, I, M, M)` complex Hermitian.
+        """
+        position = state[..., :2].reshape(-1, 2)
+        distance = position[:, 0].clamp(min=MIN_RANGE)
+        power = (self._depth_functions(position[:, 1]) * torch.exp(-distance[:, None] * self._loss)).square()
+        folded = self._fold() if self._folded is None else self._folded
+        receivers = torch.view_as_complex(folded.reshape(-1, 2, self.num_sensors, 2)[:, 0].contiguous())
+        covariance = torch.stack(
+            [
+                torch.einsum("sn,nm,nk->smk", p.to(r.dtype), r, r.conj())
+                for p, r in zip(
+                    power.split(self.mode_counts, 1), receivers.split(self.mode_counts), strict=True
+                )
+            ],
+            dim=1,
+        )
+        covariance = covariance.reshape(*state.shape[:-1], *covariance.shape[1:])
+        trace = covariance.diagonal(dim1=-2, dim2=-1).real.sum(-1).clamp(min=_MIN_POWER)
+        energy = self(state).abs().square().sum(-1)
+        return covariance * (energy / trace)[..., None, None]
+
+    def _depth_functions(self, depth: Tensor) -> Tensor:
+        """`(S, N)` mode functions at source depths `(S,)`, kept inside the water."""
+        depth = depth.clamp(min=MIN_DEPTH)
+        depth = torch.minimum(depth, torch.as_tensor(self.water_depth).to(depth))
+        return interpolate_modes(self._shapes, depth / self.water_depth)
+
     def _respond(self, position: Tensor, receivers: Sequence[Tensor]) -> Tensor:
         """`(S, 2)` positions to `(S, I, 2 M)` responses, real and imaginary parts alternating."""
         distance = position[:, 0].clamp(min=MIN_RANGE)
-        depth = position[:, 1].clamp(min=MIN_DEPTH)
-        depth = torch.minimum(depth, torch.as_tensor(self.water_depth).to(depth))
         cycles = (distance.double()[:, None] * self._cycles).frac_()
         phase = 2 * math.pi * cycles.to(position.dtype)
-        amplitude = interpolate_modes(self._shapes, depth / self.water_depth)
-        amplitude = amplitude * torch.exp(-distance[:, None] * self._loss)
+        amplitude = self._depth_functions(position[:, 1]) * torch.exp(-distance[:, None] * self._loss)
         modes = torch.stack([amplitude * torch.cos(phase), amplitude * torch.sin(phase)], dim=-1).flatten(1)
         parts = modes.split([len(rows) for rows in receivers], dim=1)
         response = torch.stack([part @ rows for part, rows in zip(parts, receivers, strict=True)], dim=1)

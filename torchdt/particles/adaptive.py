@@ -61,7 +61,8 @@ class Box(NamedTuple):
     def sample(self, draws: Tensor) -> Tensor:
         """Map standard normal draws `(*batch, P, d)` to samples."""
         low, high = self.low[..., None, :], self.high[..., None, :]
-        return low + (high - low) * torch.special.ndtr(draws)
+        # Rounding may carry the ends of the interval across the box.
+        return torch.lerp(low, high, torch.special.ndtr(draws)).clamp(low, high)
 
     def log_prob(self, points: Tensor) -> Tensor:
         """Log-density, `(*batch, P)`; minus infinity outside."""

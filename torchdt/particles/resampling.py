@@ -22,7 +22,9 @@ def systematic_indices(log_weight: Tensor, offset: Tensor) -> Tensor:
     # Rounding may leave the last sum beside one: rescale so that every point falls into an interval.
     cumulative = cumulative / cumulative[..., -1:]
     points = (torch.arange(num, dtype=log_weight.dtype, device=log_weight.device) + offset[..., None]) / num
-    return torch.searchsorted(cumulative, points, right=True).clamp_max(num - 1)
+    # A point may round to one, beyond every interval: it belongs to the last particle that has a weight.
+    last = (cumulative < 1).sum(-1, keepdim=True).clamp_max(num - 1)
+    return torch.minimum(torch.searchsorted(cumulative, points, right=True), last)
 
 
 def roughen(points: Tensor, log_weight: Tensor, draws: Tensor, bandwidth: float) -> Tensor:

@@ -1,7 +1,5 @@
 """Log-weights of particle sets."""
 
-import math
-
 import torch
 from torch import Tensor
 
@@ -37,8 +35,3 @@ def mean_and_covariance(points: Tensor, log_weight: Tensor) -> tuple[Tensor, Ten
     mean = (weight * points).sum(-2)
     centred = points - mean[..., None, :]
     return mean, (weight * centred).mT @ centred
-
-
-def uniform_log_weight(like: Tensor) -> Tensor:
-    """Equal normalised log-weights of the shape of `like`, `(*batch, P)`."""
-    return torch.full_like(like, -math.log(like.shape[-1]))

@@ -8,17 +8,18 @@ import torch
 from torch import Tensor
 
 from torchdt.bp.messages import ObjectBelief, object_belief, state_message
-from torchdt.bp.moments import response_moment, without
+from torchdt.bp.moments import response_moment
 from torchdt.bp.rank_one import whiten
 from torchdt.bp.schedule import Beliefs, as_belief, background, store, take
 from torchdt.field.base import Field
+from torchdt.field.mismatch import DiffuseField
 from torchdt.model.kinematics import drop_outside
 from torchdt.model.measurement import Measurement
 from torchdt.model.region import Region
 from torchdt.particles.adaptive import Gaussian, adapt
 from torchdt.particles.resampling import scale_tril
 from torchdt.particles.weights import mean_and_covariance
-from torchdt.state import Objects
+from torchdt.state import Objects, weighted_mean
 
 
 class Draws(NamedTuple):
@@ -38,8 +39,21 @@ def respond(field: Field, state: Tensor) -> Tensor:
     return field(state).transpose(-3, -2)
 
 
+def diffuse_part(field: Field, state: Tensor, log_weight: Tensor) -> Tensor | None:
+    """Diffuse covariance of objects at their mean states, `(*batch, P, D)` to `(*batch, I, M, M)`, if any."""
+    if not isinstance(field, DiffuseField):
+        return None
+    return field.diffuse(weighted_mean(state.mT, log_weight[..., None, :]))
+
+
 def propose_adapted(
-    field: Field, region: Region, predicted: Objects, beliefs: Beliefs, measurement: Measurement, draws: Draws
+    field: Field,
+    region: Region,
+    predicted: Objects,
+    beliefs: Beliefs,
+    measurement: Measurement,
+    draws: Draws,
+    found: Tensor | None = None,
 ) -> tuple[Objects, Tensor, Beliefs]:
     """Redraw the particles of every object where prediction and likelihood meet.
 
@@ -53,6 +67,7 @@ def propose_adapted(
         beliefs: predicted beliefs of the same objects.
         measurement: statistics of the step.
         draws: random numbers.
+        found: `(*batch, I, M, M)` covariance of signals that are no objects yet.
 
     Returns:
         The objects with new particles; their responses `(*batch, N, I, P, M)`; beliefs after this first
@@ -63,7 +78,7 @@ def propose_adapted(
     num_objects = predicted.log_odds.shape[-1]
     for slot in range(num_objects):
         index = torch.full_like(predicted.label[..., 0], slot)
-        whitener = whiten(measurement, background(beliefs, without(beliefs.strength, index), measurement))
+        whitener = whiten(measurement, background(beliefs, measurement, index, found))
         slot_prior = ObjectBelief(*(take(t, index) for t in as_belief(predicted)))
         power = take(predicted.power, index)
 

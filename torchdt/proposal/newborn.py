@@ -18,6 +18,7 @@ from torchdt.bp.noise import update_noise
 from torchdt.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics, whiten
 from torchdt.detect.dictionary import Dictionary, likelihood_surface
 from torchdt.field.base import Field
+from torchdt.field.mismatch import DiffuseField
 from torchdt.model.measurement import Measurement, mask_covariance
 from torchdt.model.region import Region
 from torchdt.particles.adaptive import Box, adapt
@@ -31,13 +32,15 @@ class Picks(NamedTuple):
     Attributes:
         position: `(*batch, Q, d)`.
         power: `(*batch, Q, I)` the best power of each tone; zero where inactive.
-        response: `(*batch, Q, I, M)` complex.
+        moment: `(*batch, Q, I, M, M)` complex `a a^H`, diffuse part included.
+        diffuse: `(*batch, Q, I, M, M)` complex covariance per unit power, None where the model is exact.
         active: `(*batch, Q)` bool.
     """
 
     position: Tensor
     power: Tensor
-    response: Tensor
+    moment: Tensor
+    diffuse: Tensor | None
     active: Tensor
 
 
@@ -71,6 +74,7 @@ def search(
     """
     belief = update_noise(noise, measurement, signal)
     found: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
+    scattered: list[Tensor] = []
     for pick in range(rounds.shape[-4]):
         whitener = whiten(measurement, mask_covariance(signal, belief.mean, measurement.present))
         score, cell = likelihood_surface(dictionary, whitener).max(-1)
@@ -84,15 +88,19 @@ def search(
         s, q = statistics(whitener, response)
         _, power = peak_log_likelihood_ratio(whitener.num_snapshots, s[..., 0], q[..., 0])
         power = torch.where(active[..., None], power, 0.0)
-        outer = response.mT @ response.conj()
-        signal = signal + power[..., None, None] * outer
+        moment = response.mT @ response.conj()
+        if isinstance(field, DiffuseField):
+            scattered.append(field.diffuse(position))
+            moment = moment + scattered[-1]
+        signal = signal + power[..., None, None] * moment
         belief = update_noise(noise, measurement, signal)
-        found.append((position, power, response[..., 0, :], active))
+        found.append((position, power, moment, active))
     if not found:
         return None, belief
     dim = free.ndim
-    position, power, response, active = (torch.stack(parts, dim) for parts in zip(*found, strict=True))
-    return Picks(position, power, response, active), belief
+    position, power, moment, active = (torch.stack(parts, dim) for parts in zip(*found, strict=True))
+    diffuse = torch.stack(scattered, dim) if scattered else None
+    return Picks(position, power, moment, diffuse, active), belief
 
 
 def _refine(field: Field, region: Region, whitener: Whitener, centre: Tensor, rounds: Tensor) -> Tensor:
@@ -139,8 +147,9 @@ def propose_newborn(
     num = picks.active.shape[-1]
     rounds, final = draws.rounds[..., :num, :, :, :], draws.final[..., :num, :, :]
     power, log_power_weight = (t.unsqueeze(-3).expand(*picks.power.shape, -1) for t in power_prior)
-    outer = picks.response[..., :, None] * picks.response[..., None, :].conj()
-    others = signal.unsqueeze(-4) + signal_without_each(picks.power, outer)
+    others = signal.unsqueeze(-4) + signal_without_each(picks.power, picks.moment)
+    if picks.diffuse is not None:
+        others = others + picks.power[..., None, None] * picks.diffuse
     per_pick = measurement.unsqueeze()
     whitener = whiten(per_pick, mask_covariance(others, noise.mean[..., None, :], per_pick.present))
     centre = picks.position.clamp(region.low + region.cell / 2, region.high - region.cell / 2)

@@ -1,0 +1,48 @@
+"""How much of each tone the fitted environment still leaves unexplained in the manner of a mismatch."""
+
+import torch
+from torch import Tensor
+
+from torchdt.field.waveguide import NormalModeField
+from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask_covariance
+
+SHARES = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.5, 0.7)
+NOISE_DECADES, NOISE_POINTS = 5.0, 26
+
+
+def mismatch_share(
+    field: NormalModeField, position: Tensor, active: Tensor, measurement: Measurement
+) -> Tensor:
+    """Maximum-likelihood share eps of each tone, over a grid, noise variance profiled out.
+
+    The covariance of a step is `sum_n gamma_n [(1 - eps) a_n a_n^H + eps R(x_n)] + eta I` with powers from
+    least squares; eps and eta are common to the steps.
+
+    Args:
+        field: fitted field.
+        position: `(S, N, d)` fitted source positions.
+        active: `(S, N)` bool.
+        measurement: statistics of batch `(S,)`.
+
+    Returns:
+        `(I,)` real.
+    """
+    response = field(position) * measurement.present.unsqueeze(-3)
+    columns = (response * active[..., None, None]).permute(0, 2, 3, 1)
+    ridge = 1e-6 * torch.eye(columns.shape[-1], dtype=columns.dtype, device=columns.device)
+    amplitude = torch.linalg.solve(columns.mH @ columns + ridge, columns.mH @ measurement.factor)
+    power = amplitude.abs().square().sum(-1) / measurement.num_snapshots.clamp_min(1.0)[..., None]
+    power = (power.transpose(-1, -2) * active[..., None])[..., None, None]
+    coherent = (power * response[..., :, None] * response[..., None, :].conj()).sum(1)
+    scattered = (power * field.incoherent(position)).sum(1)
+    level = measurement.energy.mean(0) / measurement.factor.shape[-2]
+    steps = torch.linspace(-NOISE_DECADES, 0.0, NOISE_POINTS, dtype=level.dtype, device=level.device)
+    noise = level.clamp_min(torch.finfo(level.dtype).tiny) * 10 ** steps[:, None]
+    per_noise = Measurement(*(t[:, None] for t in measurement))
+    scores = []
+    for share in SHARES:
+        signal = (1 - share) * coherent + share * scattered
+        covariance = mask_covariance(signal[:, None], noise.expand(len(position), -1, -1), per_noise.present)
+        scores.append(gaussian_log_likelihood(per_noise, covariance).sum(0).amax(0))
+    best = torch.stack(scores).argmax(0)
+    return torch.tensor(SHARES, dtype=level.dtype, device=level.device)[best]
