@@ -1,0 +1,236 @@
+import contextlib
+import csv
+import importlib.util
+import io
+import json
+import math
+import sys
+from pathlib import Path
+from unittest import mock
+
+import pytest
+import torch
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
+
+from torchdt.errors import InputError
+from torchdt.experiment.quality import (
+    Quality,
+    QualitySettings,
+    confidence,
+    consecutive,
+    score,
+    track_delays,
+)
+from torchdt.history import TrackHistory
+from torchdt.scenario.recording import validate
+from torchdt.scenario.settings import PathSettings, ScenarioSettings, SourceSettings
+from torchdt.scenario.simulate import source_track
+from torchdt.scenario.visibility import hidden_steps
+
+SCRIPT = Path(__file__).parents[2] / "experiments" / "quality.py"
+SMALL = (
+    "scenario.num_steps=6",
+    "calibration=none",
+    "tracker.particles=50",
+    "tracker.slots=4",
+    "tracker.births=2",
+    "tracker.rounds=1",
+)
+SUITE = (
+    "matched_20",
+    "matched_34",
+    "mismatch",
+    "births",
+    "close_equal",
+    "close_6db",
+    "weak",
+    "silence",
+    "empty",
+)
+NAN = float("nan")
+
+
+def launch(directory, *overrides):
+    """Run `experiments/quality.py` in this process; exit status and output."""
+    spec = importlib.util.spec_from_file_location("quality", SCRIPT)
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    small = "overrides=[" + ",".join(f'"{o}"' for o in SMALL) + "]"
+    argv = [str(SCRIPT), f"hydra.run.dir={directory}", "hydra/job_logging=none", small, *overrides]
+    out, status = io.StringIO(), 0
+    with mock.patch.object(sys, "argv", argv), contextlib.redirect_stdout(out):
+        try:
+            script.main()
+        except SystemExit as end:
+            status = end.code
+    return status, out.getvalue()
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory):
+    """A suite with a scenario that does not exist in the middle."""
+    directory = tmp_path_factory.mktemp("quality")
+    status, out = launch(directory, "suite=[line_array,nowhere,empty]", "seeds=[0,1,3]", "separation=1")
+    with (directory / "quality.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return status, out, rows, json.loads((directory / "quality.json").read_text())["scenarios"]
+
+
+def test_every_scenario_has_a_row(outcome):
+    _, out, rows, content = outcome
+    assert [row["scenario"] for row in rows] == ["line_array", "nowhere", "empty"]
+    assert list(rows[0]) == [name for name in Quality.__dataclass_fields__ if name != "gospa_by_run"]
+    assert [entry["scenario"] for entry in content] == ["line_array", "nowhere", "empty"]
+    assert all(entry["scenario"] in out for entry in content)
+    line = content[0]
+    assert line["runs"] == len(line["gospa_by_run"]) == 3
+    assert line["gospa"] == pytest.approx(sum(line["gospa_by_run"]) / 3)
+    assert line["gospa"] == pytest.approx(line["localisation"] + line["missed"] + line["false"])
+    assert line["steps_per_second"] > 0
+    assert line["real_time"] == pytest.approx(line["steps_per_second"] / 3)  # three runs, steps of one second
+    assert content[2]["birth_delay"] is None
+
+
+def test_failure_is_recorded_and_reported(outcome):
+    status, out, rows, content = outcome
+    assert status == 1
+    assert "nowhere" in rows[1]["error"]
+    assert "nowhere failed" in out
+    assert (rows[0]["error"], rows[2]["error"]) == ("", "")
+    assert content[1]["gospa"] is None
+
+
+@pytest.mark.parametrize("name", SUITE)
+def test_scenarios_of_the_suite(settings, name):
+    scenario = settings(f"scenario={name}", small=False).scenario
+    assert scenario.name == name
+    assert (scenario.num_steps, scenario.step_s) == (292, 4.096)
+    assert (scenario.gospa_cutoff, scenario.gospa_order) == (200, 1)
+    truth = truth_of(scenario)
+    here = truth[~truth.isnan().any(-1)]
+    assert ((here >= torch.tensor([0, 0])) & (here <= torch.tensor([5000, 200]))).all()
+
+
+def truth_of(scenario):
+    tracks = [
+        source_track(source, scenario.paths[source.path], scenario.num_steps, scenario.step_s)
+        for source in scenario.sources.values()
+    ]
+    return torch.stack(tracks, 1) if tracks else torch.empty(scenario.num_steps, 0, 2)
+
+
+def test_empty_takes_region_and_time_axis_from_the_paper_scenario(settings):
+    empty = settings("scenario=empty", small=False).scenario
+    paper = settings("scenario=swellex96", small=False).scenario
+    different = {key for key, value in vars(empty).items() if value != getattr(paper, key)}
+    assert different == {"name", "paths", "sources"}
+
+
+def test_close_sources_stay_close(settings):
+    for name in ("close_equal", "close_6db"):
+        truth = truth_of(settings(f"scenario={name}", small=False).scenario)
+        distance = (truth[:, 0] - truth[:, 1]).norm(dim=-1)
+        assert 50 < distance.min() < distance.max() < 75
+
+
+def test_births_cross_in_range(settings):
+    scenario = settings("scenario=births", small=False).scenario
+    truth = truth_of(scenario)
+    gap = truth[:, 0, 0] - truth[:, 1, 0]
+    assert gap[40] > 0 > gap[199]
+    assert not hidden_steps(scenario, truth, 30.0).all()
+    ranges = truth[..., 0][~truth[..., 0].isnan()]
+    assert 1200 <= ranges.min() <= ranges.max() <= 4500
+
+
+def test_hidden_steps():
+    silences = {
+        "first": [[1, 2], [6, 9]],
+        "second": [],
+        "late": [[0, 3]],
+    }  # the late one is not there before 3
+    scenario = ScenarioSettings(
+        num_steps=8,
+        paths={"p": PathSettings()},
+        sources={name: SourceSettings("p", silences=pairs) for name, pairs in silences.items()},
+    )
+    far = torch.tensor([[0.0, 0.0], [100.0, 0.0], [0.0, 50.0]]).expand(8, 3, 2).clone()
+    far[:3, 2] = NAN
+    far[4, 2] = torch.tensor([100.0, 29.0])
+    far[5, 2] = torch.tensor([100.0, 30.0])
+    expected = [False, True, True, True, True, False, True, True]
+    assert hidden_steps(scenario, far, 30.0).tolist() == expected
+    assert not hidden_steps(ScenarioSettings(num_steps=8), torch.zeros(8, 0, 2), 30.0).any()
+
+
+def history_of(label, position):
+    """Of one run, `(K, N)` labels and positions on a line; label 0 is an empty slot."""
+    label = torch.tensor(label)
+    position = torch.tensor(position, dtype=torch.float32)
+    state = torch.stack([position, torch.zeros_like(position)], -1)
+    blank = torch.zeros(len(label))
+    return TrackHistory(blank, label > 0, label, state, blank, blank, blank, blank)
+
+
+def test_delays():
+    scenario = ScenarioSettings(num_steps=6, gospa_cutoff=2.0)
+    first, second = [0.0] * 4 + [NAN] * 2, [NAN, 50.0, 50.0, 50.0, NAN, NAN]
+    truth = torch.tensor([first, second]).double().T[..., None]
+    label = [[7, 0], [7, 0], [7, 8], [7, 8], [7, 8], [0, 8]]
+    position = [[9.0, 0], [1, 0], [1, 50], [1, 50], [1, 50], [1, 50]]
+    assert track_delays(history_of(label, position), truth, scenario) == ([1, 1], [1, 2])
+    assert track_delays(history_of([[0]] * 6, [[0.0]] * 6), truth, scenario) == ([4, 3], [])
+
+
+def test_score(settings):
+    """Two runs of three steps, the middle one hidden: the first misses nothing, the second all."""
+    track_settings = settings(
+        "scenario.num_steps=3", "scenario.sources.first.silences=[[1,1]]", "~scenario.sources.second"
+    )
+    truth = torch.tensor([[[[0.0]]] * 3] * 2).double()
+    good = history_of([[1, 0], [2, 0], [2, 0]], [[1.0, 0]] * 3)
+    bad = history_of([[0, 0], [0, 0], [3, 4]], [[30.0, 40]] * 3)
+    history = TrackHistory(*(torch.stack(pair) for pair in zip(good, bad, strict=True)))
+    recording = validate(step_s=1.0, snapshots=torch.zeros(2, 3, 1, 1, 1, dtype=torch.complex64), truth=truth)
+    row = score("x", history, recording, track_settings, QualitySettings(suite=["x"], separation=1.0))
+    assert (row.runs, row.hidden) == (2, 1)
+    assert row.gospa_by_run == pytest.approx([1, 10])  # cutoff 10: missed costs 5, missed and two false 15
+    assert row.gospa == pytest.approx(5.5)
+    assert row.gospa_ci == pytest.approx(12.7062 * 9 / 2, rel=1e-4)
+    assert (row.localisation, row.missed, row.false) == pytest.approx((0.5, 2.5, 2.5))
+    assert row.gospa_all == pytest.approx((1 * 3 + 5 + 5 + 15) / 6)
+    assert row.gospa_hidden == pytest.approx(3)
+    assert row.count_error == pytest.approx((1 + 1) / 4)
+    assert row.switches == pytest.approx(0.5)  # label 1 to 2 in the first run
+    assert row.false_per_100 == pytest.approx(50)
+    assert row.birth_delay == pytest.approx(1.5)  # 0 and, never found, 3
+
+
+def test_default_suite():
+    with initialize_config_module("torchdt.conf", version_base="1.3"):
+        config = compose("quality")
+    assert OmegaConf.to_object(config).suite == list(SUITE)
+
+
+def test_consecutive_seeds_form_batches():
+    assert consecutive([0, 1, 2, 5, 4, 5]) == [[0, 1, 2], [5], [4, 5]]
+
+
+def test_one_run_has_no_confidence_interval():
+    assert math.isnan(confidence(torch.ones(1)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"suite": []}, "suite"),
+        ({"suite": ["a", "a"]}, "suite"),
+        ({"seeds": []}, "seeds"),
+        ({"separation": -1.0}, "separation"),
+        ({"switch_cost": 0.0}, "switch_cost"),
+    ],
+)
+def test_bad_settings(changes, key):
+    with pytest.raises(InputError, match=f"key '{key}'"):
+        QualitySettings(**({"suite": ["a"]} | changes))

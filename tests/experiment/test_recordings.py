@@ -1,0 +1,134 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from torchdt.scenario.npz import write_npz
+from torchdt.scenario.recording import validate
+
+
+def table(outcome):
+    rows = [[float(value) for value in row.values()] for row in outcome.rows("tracks.csv")]
+    return np.array(rows).reshape(len(rows), -1)
+
+
+@pytest.fixture
+def track(launch, tmp_path):
+    """Write a recording and track it."""
+
+    def track(recording, *overrides):
+        path = tmp_path / "recording.npz"
+        write_npz(path, recording)
+        outcome = launch("data=npz", f"data.path={path}", *overrides)
+        assert outcome.status == 0, outcome.err
+        return outcome
+
+    return track
+
+
+def as_covariance(recording):
+    z = recording.snapshots
+    covariance = torch.einsum("bkijm,bkijn->bkimn", z, z.conj()) / z.shape[-2]
+    return validate(
+        step_s=recording.step_s, covariance=covariance, num_snapshots=z.shape[-2], truth=recording.truth
+    )
+
+
+def first_of(recording):
+    return validate(step_s=1.0, snapshots=recording.snapshots[0], truth=recording.truth[0])
+
+
+def test_file_of_a_batch_gives_the_tracks_of_the_simulation(launch, recording, track):
+    simulated, read = launch("runs=2"), track(recording)
+    np.testing.assert_allclose(table(read), table(simulated), rtol=1e-4, atol=1e-4)
+    assert read.json("metrics.json")["num_runs"] == 2
+    assert read.values[0] == pytest.approx(simulated.values[0], abs=1e-4)
+
+
+def test_file_of_one_sequence(recording, track):
+    batch, single = table(track(recording)), table(track(first_of(recording)))
+    np.testing.assert_allclose(single, batch[batch[:, 0] == 0], rtol=1e-4, atol=1e-4)
+
+
+def test_covariance_stands_for_snapshots(recording, track):
+    snapshots, covariance = track(recording), track(as_covariance(recording))
+    np.testing.assert_allclose(table(covariance), table(snapshots), rtol=1e-2, atol=1e-2)
+
+
+def test_without_truth(recording, track):
+    scored, blind = track(recording), track(dataclasses.replace(recording, truth=None))
+    assert blind.values == [None]
+    assert blind.json("metrics.json")["gospa"] is None
+    assert not (blind.directory / "gospa.csv").exists()
+    np.testing.assert_array_equal(table(blind), table(scored))
+
+
+def test_figures_without_truth(recording, track):
+    blind = track(dataclasses.replace(recording, truth=None), "logging=default")
+    assert {path.name for path in (blind.directory / "figures").iterdir()} == {"tracks.png", "surface.png"}
+
+
+@pytest.mark.parametrize("scale", [1e-7, 37.0, 2.0e6])
+def test_scale_does_not_matter(recording, track, scale):
+    nominal = table(track(recording))
+    scaled = table(track(dataclasses.replace(recording, snapshots=scale * recording.snapshots)))
+    np.testing.assert_allclose(scaled[:, :7], nominal[:, :7], rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(scaled[:, 7:], scale**2 * nominal[:, 7:], rtol=1e-3)  # powers
+
+
+def test_missing_values_and_dead_channels(recording, track):
+    snapshots = recording.snapshots.clone()
+    snapshots[0, ..., 2] = torch.nan  # a channel of the first sequence, 5 steps * 2 tones * 3 snapshots
+    snapshots[1, 3] = torch.nan  # a step of the second, 2 * 3 * 8 values
+    outcome = track(dataclasses.replace(recording, snapshots=snapshots))
+    assert "78 of 480 values are missing" in outcome.log
+    assert "dead channels of each sequence: [[2], []]" in outcome.log
+    assert np.isfinite(table(outcome)).all()
+    assert outcome.values[0] < 2  # degrees
+
+
+def test_nothing_but_missing_values(recording, track):
+    missing = torch.full_like(recording.snapshots, torch.nan)
+    outcome = track(dataclasses.replace(recording, snapshots=missing))
+    assert outcome.rows("tracks.csv") == []
+
+
+def test_complete_file_gives_no_warning(recording, track):
+    assert "WARNING" not in track(recording).log
+
+
+def test_step_of_the_file_counts(recording, track):
+    outcome = track(dataclasses.replace(recording, step_s=0.25))
+    rows = outcome.rows("tracks.csv")
+    assert {float(row["time_s"]) - 0.25 * int(row["step"]) for row in rows} == {0.0}
+    assert any(int(row["step"]) > 0 for row in rows)
+
+
+def positions(along):
+    along = torch.as_tensor(along, dtype=torch.float64)
+    return torch.stack([along, 0 * along, 0 * along], -1)
+
+
+@pytest.mark.parametrize(
+    ("known", "wrong"),
+    [
+        ({"freqs": torch.tensor([100.0, 150.0])}, "field.freqs=[60,90]"),
+        ({"sensor_positions": positions(range(0, 40, 5))}, "field.sensor_positions=[0,3,6,9,12,15,18,21]"),
+    ],
+    ids=["freqs", "sensor_positions"],
+)
+def test_array_of_the_file_replaces_the_configured_one(recording, track, known, wrong):
+    right = table(track(recording))
+    replaced = table(track(dataclasses.replace(recording, **known), wrong))
+    np.testing.assert_array_equal(replaced, right)
+    misled = table(track(recording, wrong))
+    assert misled.shape != right.shape or np.abs(misled[:, 5] - right[:, 5]).max() > 1
+
+
+def test_own_field_target(recording, track):
+    target = "field._target_=torchdt.field.plane_wave.LineArrayField"
+    own = ("~field.sensor_positions", "+field.positions=[0,5,10,15,20,25,30,35]")
+    np.testing.assert_allclose(
+        table(track(recording, target, *own)), table(track(recording)), rtol=1e-3, atol=1e-3
+    )

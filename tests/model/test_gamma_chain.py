@@ -1,0 +1,88 @@
+import math
+
+import pytest
+import torch
+from scipy.special import digamma, polygamma
+from torch.distributions import Gamma
+
+from torchdt.model.gamma_chain import predict_chain, uniform_prior
+from torchdt.state import weighted_mean
+
+
+def log_moments(values, log_weight):
+    mean = weighted_mean(values.log(), log_weight)
+    return mean, weighted_mean((values.log() - mean[..., None]).square(), log_weight)
+
+
+@pytest.mark.parametrize("shape", [5.0, 1e2, 1e4])
+@pytest.mark.parametrize("points", [2, 16, 64])
+def test_moments_of_the_logarithm_are_exact(shape, points):
+    rng = torch.Generator().manual_seed(points)
+    values = torch.rand(3, points, generator=rng).double() + 0.2
+    log_weight = torch.randn(3, points, generator=rng).double().log_softmax(-1)
+    mean, variance = log_moments(values, log_weight)
+    predicted, predicted_weight = predict_chain(values, log_weight, shape)
+    new_mean, new_variance = log_moments(predicted, predicted_weight)
+    torch.testing.assert_close(predicted_weight.exp().sum(-1), torch.ones(3).double())
+    torch.testing.assert_close(new_mean, mean + digamma(shape) - math.log(shape), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(new_variance, variance + float(polygamma(1, shape)), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [1e2, 1e4])
+def test_one_transition_from_a_known_value(shape):
+    """Mean kept, relative standard deviation 1 / sqrt(c): the moments of Gamma(c, c / previous)."""
+    previous = torch.full((1,), 0.7, dtype=torch.float64)
+    values, log_weight = predict_chain(previous.expand(16), torch.full((16,), -math.log(16)).double(), shape)
+    mean = weighted_mean(values, log_weight)
+    deviation = weighted_mean((values - mean).square(), log_weight).sqrt()
+    assert mean.item() == pytest.approx(0.7, rel=1 / shape**2)
+    assert (deviation / mean).item() == pytest.approx(shape**-0.5, rel=1 / shape)
+
+
+def test_against_monte_carlo():
+    """Mean, deviation and log-mean of a two-point belief after one step; z-scores below 5.2 (false alarm
+    of 2e-7 for each of the three)."""
+    shape, number = 30.0, 200_000
+    previous = torch.tensor([0.8, 1.1], dtype=torch.float64)
+    log_weight = torch.tensor([0.3, 0.7], dtype=torch.float64).log()
+    torch.manual_seed(4)
+    pick = (torch.rand(number) < 0.7).long()
+    sample = Gamma(torch.tensor(shape).double(), shape / previous[pick]).sample()
+    values, weight = predict_chain(
+        torch.cat([previous] * 8), torch.cat([log_weight] * 8) - math.log(8), shape
+    )
+    for function in (lambda v: v, lambda v: v.square(), lambda v: v.log()):
+        drawn = function(sample)
+        error = drawn.mean() - weighted_mean(function(values), weight)
+        # The log-normal stand-in for two Gammas is off by parts in a thousand at most.
+        slack = 1e-3 * drawn.mean().abs()
+        assert error.abs() < 5.2 * drawn.std() / number**0.5 + slack
+
+
+def test_zero_weight_points_do_not_matter():
+    values = torch.tensor([0.5, 1.0, 1e-30], dtype=torch.float64)
+    log_weight = torch.tensor([0.5, 0.5, 0.0], dtype=torch.float64).log()
+    predicted, _ = predict_chain(values, log_weight, 100.0)
+    two, _ = predict_chain(values[:2], log_weight[:2], 100.0)
+    assert predicted[1].item() == pytest.approx(two.log().mean().exp().item())
+
+
+@pytest.mark.parametrize("function", [torch.ones_like, torch.square, lambda v: torch.exp(-3 * v), torch.cos])
+def test_uniform_prior_integrates_smooth_functions(function):
+    maximum = torch.tensor([2.0, 0.01], dtype=torch.float64)
+    points, log_weight = uniform_prior(maximum, 400)
+    fine = maximum[:, None] * (torch.arange(20000) + 0.5) / 20000
+    torch.testing.assert_close(
+        weighted_mean(function(points), log_weight), function(fine).mean(-1), rtol=1e-3, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("points", [8, 16, 64])
+def test_uniform_prior_reaches_down_seven_decades(points):
+    values, log_weight = uniform_prior(torch.tensor(3.0), points)
+    width = 7 * math.log(10) / points
+    assert values[-1].item() == pytest.approx(3 * math.exp(-width / 2), rel=1e-5)
+    assert values[0].item() == pytest.approx(3e-7 * math.exp(width / 2), rel=1e-4)
+    assert log_weight.exp().sum().item() == pytest.approx(1.0)
+    # Each point stands for a bin whose probability is proportional to its value.
+    torch.testing.assert_close((log_weight - values.log()).diff(), torch.zeros(points - 1), atol=1e-5, rtol=0)

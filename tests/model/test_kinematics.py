@@ -1,0 +1,43 @@
+import math
+
+import pytest
+import torch
+
+from torchdt.model.kinematics import drop_outside, predict_log_odds, predict_state
+from torchdt.model.region import Coordinate, Region
+
+
+def test_prediction_equals_the_matrices():
+    rng = torch.Generator().manual_seed(1)
+    state = torch.randn(4, 7, 4, generator=rng).double()
+    driving = torch.randn(4, 7, 2, generator=rng).double()
+    variance, T = torch.tensor([1e-2, 1e-5], dtype=torch.float64), 4.096
+    F = torch.tensor([[1, 0, T, 0], [0, 1, 0, T], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=torch.float64)
+    W = torch.tensor([[T**2 / 2, 0], [0, T**2 / 2], [T, 0], [0, T]], dtype=torch.float64)
+    expected = torch.einsum("ij,...j->...i", F, state) + torch.einsum(
+        "ij,...j->...i", W, driving * variance.sqrt()
+    )
+    torch.testing.assert_close(predict_state(state, driving, T, variance), expected)
+
+
+def test_existence_equals_the_product_of_probabilities():
+    existence = torch.tensor([1e-6, 0.3, 0.99], dtype=torch.float64)
+    found = torch.sigmoid(predict_log_odds(torch.logit(existence), 0.95))
+    torch.testing.assert_close(found, 0.95 * existence)
+
+
+def test_existence_at_the_limits_stays_finite():
+    log_odds = torch.tensor([-math.inf, -200.0, 200.0])
+    found = predict_log_odds(log_odds, 0.95)
+    assert found[0] == -math.inf
+    assert found[1].item() == pytest.approx(-200 + math.log(0.95), rel=1e-6)
+    assert found[2].item() == pytest.approx(math.log(0.95 / 0.05), rel=1e-5)
+
+
+def test_particles_outside_lose_their_weight():
+    """What is lost is the probability that the object left, so nothing is renormalised."""
+    region = Region([Coordinate("bearing", "deg", -10, 10, 2, -1, 1, 1e-3)], torch.float64)
+    state = torch.tensor([[[0.0, 5.0], [-10.5, 0.0], [9.9, 0.0]], [[11.0, 0.0], [12.0, 0.0], [-20.0, 0.0]]])
+    weight = torch.tensor([[0.2, 0.5, 0.3], [0.2, 0.5, 0.3]], dtype=torch.float64)
+    kept = drop_outside(state.double(), weight.log(), region).exp()
+    torch.testing.assert_close(kept, torch.tensor([[0.2, 0.0, 0.3], [0.0, 0.0, 0.0]], dtype=torch.float64))

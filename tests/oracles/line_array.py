@@ -1,0 +1,67 @@
+"""A small line-array problem: 8 sensors, 2 tones, bearings; for tests of proposals and of the tracker."""
+
+import torch
+from torch import Tensor
+
+from torchdt.config import TrackerConfig
+from torchdt.field.plane_wave import LineArrayField
+from torchdt.model.region import Coordinate, Region
+from torchdt.scenario.settings import CoordinateSettings, PathSettings, ScenarioSettings, SourceSettings
+from torchdt.scenario.simulate import simulate_snapshots
+from torchdt.tracker import DirectTracker
+
+FREQS, POSITIONS = (100.0, 150.0), tuple(5.0 * m for m in range(8))
+BEARING = {
+    "name": "bearing",
+    "unit": "deg",
+    "low": -70.0,
+    "high": 70.0,
+    "cell": 2.0,
+    "rate_low": -1.0,
+    "rate_high": 1.0,
+    "driving_variance": 1e-3,
+}
+SMALL = {
+    "slots": 4,
+    "particles": 200,
+    "power_points": 10,
+    "noise_points": 24,
+    "births": 4,
+    "rounds": 4,
+    "round_size": 64,
+}
+
+
+def make_field(dtype: torch.dtype = torch.float64) -> LineArrayField:
+    return LineArrayField(FREQS, POSITIONS, dtype=dtype)
+
+
+def make_region(dtype: torch.dtype = torch.float64) -> Region:
+    return Region([Coordinate(**BEARING)], dtype)
+
+
+def make_tracker(dtype: torch.dtype = torch.float64, **config) -> DirectTracker:
+    return DirectTracker(make_field(dtype), make_region(dtype), 1.0, TrackerConfig(**(SMALL | config)))
+
+
+def simulate(
+    seed: int,
+    *paths: tuple[tuple[float, float], ...],
+    steps: int = 20,
+    powers_db: tuple[float, ...] | None = None,
+    snr_db: float = 10.0,
+    num_snapshots: int = 3,
+) -> tuple[Tensor, Tensor]:
+    """Snapshots (K, I, J, M) and truth (K, L, 1) of sources; each path is a row of (time, bearing)."""
+    powers_db = powers_db or (0.0,) * len(paths)
+    scenario = ScenarioSettings(
+        num_steps=steps,
+        num_snapshots=num_snapshots,
+        snr_db=snr_db,
+        coordinates=[CoordinateSettings(**BEARING)],
+        paths={
+            str(n): PathSettings([t for t, _ in path], [[b] for _, b in path]) for n, path in enumerate(paths)
+        },
+        sources={str(n): SourceSettings(str(n), power) for n, power in enumerate(powers_db)},
+    )
+    return simulate_snapshots(make_field(), scenario, torch.Generator().manual_seed(seed))

@@ -1,0 +1,109 @@
+"""What gets installed: all packages, the configuration as `torchdt.conf`, the type marker."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+WANTED = ("pyproject.toml", "README.md", "LICENSE", "torchdt", "conf")
+COMPOSE = """
+from pathlib import Path
+from hydra import compose, initialize_config_module
+import torchdt.conf, torchdt.experiment.track
+with initialize_config_module("torchdt.conf", version_base="1.3"):
+    print(compose("track", overrides=["scenario=line_array"]).scenario.name)
+print(Path(torchdt.conf.__file__).parent)
+"""
+
+
+def project():
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def run(*command, **options):
+    done = subprocess.run(
+        [sys.executable, *map(str, command)], capture_output=True, text=True, check=False, **options
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """Built from a copy, which leaves the checkout as it is."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    source.mkdir()
+    for name in WANTED:
+        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+        copy(ROOT / name, source / name)
+    run("-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "-w", folder, source)
+    (path,) = folder.glob("*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def names(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        return set(archive.namelist())
+
+
+def test_no_package_is_forgotten():
+    folders = {path.parent.relative_to(ROOT) for path in ROOT.glob("torchdt/**/*.py")}
+    found = {".".join(folder.parts) for folder in folders} | {"torchdt.conf"}
+    assert set(project()["tool"]["setuptools"]["packages"]) == found
+
+
+def test_every_package_has_an_init():
+    folders = {path.parent for path in ROOT.glob("torchdt/**/*.py")}
+    assert [folder for folder in folders if not (folder / "__init__.py").exists()] == []
+
+
+def test_wheel_holds_the_configuration(names):
+    wanted = {f"torchdt/{path.relative_to(ROOT)}" for path in ROOT.glob("conf/**/*.yaml")}
+    assert "torchdt/conf/scenario/swellex96.yaml" in wanted
+    assert wanted <= names
+
+
+def test_wheel_holds_the_code_and_nothing_else(names):
+    code = {str(path.relative_to(ROOT)) for path in ROOT.glob("torchdt/**/*.py")}
+    assert code | {"torchdt/py.typed", "torchdt/conf/__init__.py"} <= names
+    assert {name.partition("/")[0] for name in names} == {"torchdt", "torchdt-0.1.0.dist-info"}
+    assert "torchdt-0.1.0.dist-info/licenses/LICENSE" in names
+
+
+def test_installed_wheel_finds_its_configuration(wheel, tmp_path):
+    target, elsewhere = tmp_path / "target", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    install = ("-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", target, wheel)
+    run(*install)
+    environment = os.environ | {"PYTHONPATH": str(target)}
+    name, folder = run("-c", COMPOSE, cwd=elsewhere, env=environment).split()
+    assert name == "line_array"
+    assert Path(folder) == target / "torchdt" / "conf"
+
+
+def test_constraints_name_every_requirement():
+    pinned = dict(
+        line.split("==")
+        for line in (ROOT / "constraints.txt").read_text().splitlines()
+        if line and not line.startswith("#")
+    )
+    needed = project()["project"]
+    extras = needed["optional-dependencies"]
+    requirements = [*needed["dependencies"], *extras["test"], *extras["dev"]]
+    bare = {requirement.partition(">=")[0] for requirement in requirements} - {"torchdt[test]"}
+    assert bare <= set(pinned)
+    assert pinned["torch"] == "2.13.0"
+
+
+def test_versions_agree():
+    version = project()["project"]["version"]
+    assert f"version: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert version in (ROOT / "CHANGELOG.md").read_text()

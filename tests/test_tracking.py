@@ -1,0 +1,135 @@
+"""From a recording in any units to tracks in the same units."""
+
+import pytest
+import torch
+from oracles.line_array import make_tracker, simulate
+
+from torchdt.errors import InputError
+from torchdt.history import TrackHistory
+from torchdt.scenario.recording import Recording, validate
+from torchdt.tracker import DirectTracker
+from torchdt.tracking import Prepared, derive_seed, generator, prepare, track
+
+TWO = (((0.0, -40.0), (20.0, -25.0)), ((0.0, 30.0), (20.0, 20.0)))
+
+
+@pytest.fixture(scope="module")
+def snapshots() -> torch.Tensor:
+    return torch.stack([simulate(seed, *TWO)[0] for seed in (1, 2)])
+
+
+def record(snapshots: torch.Tensor) -> Recording:
+    return validate(step_s=1.0, snapshots=snapshots)
+
+
+def scaled_to_one(recording: Recording, tracker: DirectTracker) -> Prepared:
+    return prepare(recording, tracker.field, tracker.region, tracker.config)
+
+
+def assert_same_tracks(found: TrackHistory, expected: TrackHistory, **tolerance) -> None:
+    assert torch.equal(found.declared, expected.declared)
+    alive = expected.existence > 0
+    assert torch.equal(found.label[alive], expected.label[alive])
+    torch.testing.assert_close(found.existence, expected.existence, **tolerance)
+    torch.testing.assert_close(found.state[alive], expected.state[alive], **tolerance)
+
+
+@pytest.mark.parametrize("unit", [1e-20, 1e-3, 7.3, 1e6, 1e20])
+def test_units_change_nothing_but_the_units(snapshots, unit):
+    tracker = make_tracker()
+    one, other = track(record(snapshots), tracker, [1, 2]), track(record(unit * snapshots), tracker, [1, 2])
+    assert one.declared[:, -1].sum() == 4
+    assert_same_tracks(other, one, rtol=1e-6, atol=1e-6)
+    alive = one.existence > 0
+    torch.testing.assert_close(other.power[alive] / unit**2, one.power[alive], rtol=1e-6, atol=0)
+    torch.testing.assert_close(other.noise / unit**2, one.noise, rtol=1e-6, atol=0)
+    # A density: 2 tones, 3 snapshots, 8 sensors of complex numbers.
+    jacobian = 2 * 2 * 3 * 8 * torch.tensor(unit).double().log()
+    torch.testing.assert_close(other.log_evidence + jacobian, one.log_evidence, rtol=1e-6, atol=1e-5)
+
+
+def test_units_in_single_precision(snapshots):
+    tracker = make_tracker(torch.float32)
+    one, other = (track(record(u * snapshots), tracker, [1, 2]) for u in (1.0, 7.3e5))
+    assert_same_tracks(other, one, rtol=2e-3, atol=2e-3)
+
+
+def test_limits_of_the_priors_are_in_units_of_the_data(snapshots):
+    unit = 50.0
+    one = track(record(snapshots), make_tracker(power_max=9.0, noise_max=0.5), [1, 2])
+    scaled = make_tracker(power_max=9.0 * unit**2, noise_max=0.5 * unit**2)
+    other = track(record(unit * snapshots), scaled, [1, 2])
+    assert_same_tracks(other, one, rtol=1e-6, atol=1e-6)
+    prepared = scaled_to_one(record(unit * snapshots), scaled)
+    limit = prepared.priors.power_max * prepared.scale[:, None] ** 2
+    torch.testing.assert_close(limit, torch.full_like(limit, 9.0 * unit**2))
+
+
+@pytest.mark.parametrize("unit", [1.0, 3e4])
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_covariances_say_the_same_as_their_snapshots(snapshots, dtype, unit):
+    tracker = make_tracker(dtype)
+    covariance = unit**2 * snapshots.mT @ snapshots.conj() / 3
+    one = track(record(unit * snapshots), tracker, [1, 2])
+    other = track(validate(step_s=1.0, covariance=covariance, num_snapshots=3), tracker, [1, 2])
+    tolerance = 1e-5 if dtype == torch.float64 else 5e-3
+    assert_same_tracks(other, one, rtol=tolerance, atol=tolerance)
+    torch.testing.assert_close(other.noise, one.noise, rtol=tolerance, atol=0)
+    prepared = scaled_to_one(validate(step_s=1.0, covariance=covariance, num_snapshots=3), tracker)
+    assert 0.1 < prepared.measurement.energy.mean() / 8 < 10  # brought to order one
+
+
+def test_precision_of_the_recording_hardly_matters(snapshots):
+    tracker = make_tracker(torch.float32)
+    types = (torch.complex64, torch.complex128)
+    one, other = (track(record(snapshots.to(t)), tracker, [1, 2]) for t in types)
+    assert_same_tracks(one, other, rtol=2e-3, atol=2e-3)
+
+
+def test_each_sequence_has_its_own_scale(snapshots):
+    """A loud recording beside a quiet one changes neither."""
+    uneven = snapshots * torch.tensor([1e-6, 1e6])[:, None, None, None, None]
+    together = track(record(uneven), make_tracker(), [1, 2])
+    for b in range(2):
+        alone = track(record(uneven[b : b + 1]), make_tracker(), [b + 1])
+        assert_same_tracks(TrackHistory(*(t[b : b + 1] for t in together)), alone, rtol=1e-6, atol=1e-6)
+        torch.testing.assert_close(together.noise[b], alone.noise[0], rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize("dead", [1, 3])
+def test_a_dead_recording_beside_a_good_one(snapshots, dead):
+    broken = snapshots.clone()
+    broken[1] = torch.nan
+    history = track(record(broken), make_tracker(), [1, 2])
+    alone = track(record(snapshots[:1]), make_tracker(), [1])
+    assert_same_tracks(TrackHistory(*(t[:1] for t in history)), alone, rtol=1e-6, atol=1e-6)
+    assert not history.declared[1].any()
+
+
+@pytest.mark.parametrize(
+    ("cut", "message"),
+    [
+        ((slice(None), slice(0, 1)), "key 'snapshots': found 1 tones, expected 2 tones, as the field has"),
+        ((slice(None), slice(None), slice(None), slice(0, 7)), "found 7 sensors, expected 8 sensors"),
+    ],
+)
+def test_a_recording_of_another_array_is_named(snapshots, cut, message):
+    with pytest.raises(InputError, match=message):
+        track(record(snapshots[(slice(None), *cut)]), make_tracker(), [1, 2])
+
+
+def test_zeros_are_named(snapshots):
+    with pytest.raises(InputError, match="key 'snapshots': found only zeros"):
+        track(record(0 * snapshots), make_tracker(), [1, 2])
+
+
+def test_wrong_number_of_seeds_is_named(snapshots):
+    with pytest.raises(ValueError, match="generators: found 1, expected 2"):
+        track(record(snapshots), make_tracker(), [1])
+
+
+def test_seeds_of_different_purposes_differ():
+    seeds = [derive_seed(s, purpose) for s in range(50) for purpose in ("filter", "scenario", "x")]
+    assert len(set(seeds)) == len(seeds)
+    assert all(0 <= s < 2**63 for s in seeds)
+    assert torch.equal(torch.rand(3, generator=generator(1, "a")), torch.rand(3, generator=generator(1, "a")))
