@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from torchdt.particles.resampling import roughen, scale_tril, systematic_indices
-from torchdt.particles.weights import mean_and_covariance, uniform_log_weight
+from torchdt.particles.weights import mean_and_covariance
 
 
 def random_weight(seed: int, *shape: int) -> torch.Tensor:
@@ -78,7 +78,7 @@ def test_roughening_keeps_mean_and_covariance():
 
 def test_roughening_by_nothing_changes_nothing():
     points = torch.randn(2, 10, 4, generator=torch.Generator().manual_seed(1))
-    found = roughen(points, uniform_log_weight(points[..., 0]), torch.ones_like(points), 0.0)
+    found = roughen(points, torch.zeros_like(points[..., 0]).log_softmax(-1), torch.ones_like(points), 0.0)
     torch.testing.assert_close(found, points)
 
 
@@ -104,7 +104,7 @@ def test_factor_of_a_singular_covariance(kind, dtype):
     else:
         points = points * torch.tensor([1e6, 1.0, 1e-6])
     points = points.to(dtype)
-    _, covariance = mean_and_covariance(points, uniform_log_weight(points[:, 0]))
+    _, covariance = mean_and_covariance(points, torch.zeros_like(points[:, 0]).log_softmax(-1))
     lower = scale_tril(covariance)
     assert lower.isfinite().all()
     deviation = covariance.diagonal().sqrt()

@@ -151,8 +151,7 @@ def test_particles_sit_where_the_source_is():
     new, response = propose_newborn(FIELD, REGION, data, signal, picks, noise, prior, -10.0, draws)
     assert new.state.shape == (1, 2, 500, 2)
     for q in range(2):
-        a = picks.response[0, 1 - q]
-        outer = picks.power[0, 1 - q][:, None, None] * a[:, :, None] * a[:, None, :].conj()
+        outer = picks.power[0, 1 - q][:, None, None] * picks.moment[0, 1 - q]
         whitener = whiten(data.at(0), mask_covariance(outer, noise.mean[0], data.present[0]))
         message = state_message(whitener, response[0, q], *(t[0] for t in prior))
         log_weight, _ = normalise(new.log_weight[0, q] + message)

@@ -3,7 +3,8 @@
 Cells are picked one after another where one more object raises the likelihood most, given the known
 objects, the earlier picks and the noise. Each pick is refined off the grid before the next, since at
 30 dB half a cell beside the peak is enough energy left over for a ghost. Picks stop early when even at
-the peak of the likelihood the posterior existence would stay below the pruning threshold.
+the peak of the likelihood the posterior existence would stay below the pruning threshold; while the noise
+level is unknown they are judged together.
 """
 
 import math
@@ -13,17 +14,20 @@ import torch
 from torch import Tensor
 
 from torchdt.bp.messages import state_message
-from torchdt.bp.moments import signal_without_each
+from torchdt.bp.moments import signal_covariance, signal_without_each
 from torchdt.bp.noise import update_noise
 from torchdt.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics, whiten
 from torchdt.detect.dictionary import Dictionary, likelihood_surface
 from torchdt.field.base import Field
 from torchdt.field.mismatch import DiffuseField
-from torchdt.model.measurement import Measurement, mask_covariance
+from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask_covariance
 from torchdt.model.region import Region
 from torchdt.particles.adaptive import Box, adapt
 from torchdt.proposal.moved import Draws, respond
-from torchdt.state import Noise, Objects
+from torchdt.state import Noise, Objects, weighted_mean
+
+UNSETTLED = 0.25
+"""Variance of the logarithm of a noise variance from which on the noise level counts as unknown."""
 
 
 class Picks(NamedTuple):
@@ -72,14 +76,18 @@ def search(
         The picks, as many as any batch element needs (None if no element needs any), and the noise belief
         with the known objects and the picks explained.
     """
-    belief = update_noise(noise, measurement, signal)
+    known, belief = signal, update_noise(noise, measurement, signal)
+    # While the noise level is unknown, sources that are many and equal each pass for noise: look further.
+    unsettled = _log_variance(noise).amax(-1) > UNSETTLED
+    alive = torch.ones_like(free, dtype=torch.bool)
     found: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
     scattered: list[Tensor] = []
+    gains = [_log_likelihood(measurement, signal, belief)]
     for pick in range(rounds.shape[-4]):
         whitener = whiten(measurement, mask_covariance(signal, belief.mean, measurement.present))
         score, cell = likelihood_surface(dictionary, whitener).max(-1)
-        active = (score > threshold) & (pick < free)
-        if not bool(active.any()):
+        alive = alive & ((score > threshold) | unsettled) & (pick < free)
+        if not bool(alive.any()):
             break
         position = dictionary.points[cell]
         if refine:
@@ -87,20 +95,41 @@ def search(
         response = respond(field, position[..., None, :])
         s, q = statistics(whitener, response)
         _, power = peak_log_likelihood_ratio(whitener.num_snapshots, s[..., 0], q[..., 0])
-        power = torch.where(active[..., None], power, 0.0)
+        power = torch.where(alive[..., None], power, 0.0)
         moment = response.mT @ response.conj()
         if isinstance(field, DiffuseField):
             scattered.append(field.diffuse(position))
             moment = moment + scattered[-1]
         signal = signal + power[..., None, None] * moment
         belief = update_noise(noise, measurement, signal)
-        found.append((position, power, moment, active))
+        gains.append(_log_likelihood(measurement, signal, belief))
+        found.append((position, power, moment, alive))
     if not found:
         return None, belief
     dim = free.ndim
-    position, power, moment, active = (torch.stack(parts, dim) for parts in zip(*found, strict=True))
+    position, power, moment, alive = (torch.stack(parts, dim) for parts in zip(*found, strict=True))
+    # Together the picks up to the last one kept are worth the threshold each.
+    gain = torch.stack(gains[1:], dim) - gains[0][..., None]
+    rank = torch.arange(1, len(found) + 1, dtype=gain.dtype, device=gain.device)
+    worthy = (alive & (gain > rank * threshold)).flip(-1).cummax(-1).values.flip(-1)
+    active = torch.where(unsettled[..., None], worthy, alive)
+    power = torch.where(active[..., None], power, 0.0)
+    if bool((alive & ~active).any()):
+        belief = update_noise(noise, measurement, known + signal_covariance(power, moment))
     diffuse = torch.stack(scattered, dim) if scattered else None
-    return Picks(position, power, moment, diffuse, active), belief
+    return (Picks(position, power, moment, diffuse, active) if bool(active.any()) else None), belief
+
+
+def _log_variance(noise: Noise) -> Tensor:
+    """Variance of log eta, `(*batch, I)`."""
+    log_value = noise.variance.log()
+    mean = weighted_mean(log_value, noise.log_weight)
+    return weighted_mean((log_value - mean[..., None]).square(), noise.log_weight)
+
+
+def _log_likelihood(measurement: Measurement, signal: Tensor, noise: Noise) -> Tensor:
+    covariance = mask_covariance(signal, noise.mean, measurement.present)
+    return gaussian_log_likelihood(measurement, covariance).sum(-1)
 
 
 def _refine(field: Field, region: Region, whitener: Whitener, centre: Tensor, rounds: Tensor) -> Tensor:
