@@ -36,7 +36,8 @@ def test_options_are_found():
 
 @pytest.mark.parametrize(("group", "option"), OPTIONS)
 def test_every_option_composes(settings, group, option):
-    changed = settings(f"{group}={option}", small=False)
+    needed = ("data.path=recording.npz",) if option == "npz" else ()
+    changed = settings(f"{group}={option}", *needed, small=False)
     assert changed is not None
     with initialize_config_module("torchdt.conf", version_base="1.3"):
         plain = compose("track", overrides=[f"{group}={option}"])

@@ -9,7 +9,7 @@ from hydra.utils import instantiate
 from torch import Generator, Tensor
 
 from torchdt.calibration.environment import calibrate
-from torchdt.errors import InputError
+from torchdt.errors import InputError, require
 from torchdt.experiment.settings import TrackSettings
 from torchdt.field.base import Field
 from torchdt.field.build import EnvironmentDraw
@@ -75,6 +75,8 @@ def build_recording(settings: TrackSettings) -> Recording:
 def simulate(settings: TrackSettings) -> Recording:
     """Simulate `runs` sequences; sequence b depends on `seed + b` alone."""
     scenario, target = settings.scenario, settings.field
+    num_coordinates = build_field(target, torch.float64, "cpu").num_coordinates
+    check_coordinates(settings, num_coordinates)
     snapshots, truth = [], []
     nominal = None if not scenario.mismatch.matched else build_field(target, torch.float64, "cpu")
     for seed in range(settings.seed, settings.seed + settings.runs):
@@ -88,6 +90,13 @@ def simulate(settings: TrackSettings) -> Recording:
     return validate(
         snapshots=torch.stack(snapshots), truth=torch.stack(truth), step_s=scenario.step_s, name=scenario.name
     )
+
+
+def check_coordinates(settings: TrackSettings, num_coordinates: int) -> None:
+    """Refuse a scenario whose states are not those of the field."""
+    found = len(settings.scenario.coordinates)
+    expected = f"{num_coordinates}, as the field"
+    require(found == num_coordinates, "scenario.coordinates", f"{found} coordinates", expected)
 
 
 def draw_environment(
@@ -126,9 +135,7 @@ def build_tracker(settings: TrackSettings, recording: Recording) -> DirectTracke
     target = {**settings.field, **overrides}
     field = build_field(target, settings.torch_dtype, settings.device)
     region = build_region(settings, settings.torch_dtype)
-    if region.num_coordinates != field.num_coordinates:
-        found, expected = f"{region.num_coordinates} coordinates", f"{field.num_coordinates}, as the field"
-        raise InputError.of_key("scenario.coordinates", found, expected)
+    check_coordinates(settings, field.num_coordinates)
     if recording.truth is not None and recording.truth.shape[-1] != region.num_coordinates:
         found = f"{recording.truth.shape[-1]} coordinates"
         raise InputError.of_key("truth", found, f"{region.num_coordinates}, as the scenario")

@@ -23,6 +23,8 @@ class DataSettings:
 
     def __post_init__(self) -> None:
         require(self.kind in ("simulated", "npz"), "data.kind", self.kind, "simulated or npz")
+        given = self.kind == "simulated" or bool(self.path)
+        require(given, "data.path", self.path, "the path of a file")
 
 
 @dataclass
@@ -72,6 +74,7 @@ class TrackSettings:
     def __post_init__(self) -> None:
         require(self.runs >= 1, "runs", self.runs, "a positive integer")
         require(self.dtype in ("float32", "float64"), "dtype", self.dtype, "float32 or float64")
+        require(_usable(self.device), "device", self.device, "a device that PyTorch can use here")
         enough = self.threads is None or self.threads >= 1
         require(enough, "threads", self.threads, "a positive integer or null")
 
@@ -81,15 +84,35 @@ class TrackSettings:
         return torch.float32 if self.dtype == "float32" else torch.float64
 
 
+def _usable(device: str) -> bool:
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError):
+        return False
+    return True
+
+
 def settings_of(config: DictConfig) -> TrackSettings:
     """Resolve and check a composed configuration.
 
     Raises:
         InputError: naming the key, the value found and what was expected.
     """
+    _refuse_unknown(config, "")
     settings = OmegaConf.to_object(config)
     assert isinstance(settings, TrackSettings)
     return settings
+
+
+def _refuse_unknown(config: DictConfig, prefix: str) -> None:
+    """Hydra's `+key=value` adds keys that no setting reads; converting the configuration would drop them."""
+    schema = OmegaConf.get_type(config)
+    known = {f.name for f in dataclasses.fields(schema)} if dataclasses.is_dataclass(schema) else None
+    for key in config:
+        name = f"{prefix}{key!s}"
+        require(known is None or key in known, name, "an unknown key", f"one of {sorted(known or ())}")
+        if not OmegaConf.is_missing(config, key) and isinstance(config[key], DictConfig):
+            _refuse_unknown(config[key], f"{name}.")
 
 
 ConfigStore.instance().store(name="track_schema", node=TrackSettings)

@@ -10,6 +10,11 @@ from torchdt.errors import require
 AMPLITUDES = ("gaussian", "constant_modulus")
 
 
+def _are_numbers(values: Any) -> bool:
+    """Whether this is a list of finite numbers; nested lists escape the type checks of the schema."""
+    return isinstance(values, list) and all(isinstance(v, int | float) and math.isfinite(v) for v in values)
+
+
 @dataclass
 class PathSettings:
     """A way through the region.
@@ -25,6 +30,8 @@ class PathSettings:
 
     def __post_init__(self) -> None:
         expected = f"{len(self.times_s)} positions, one for each time"
+        numbers = all(_are_numbers(position) for position in self.positions)
+        require(numbers, "scenario.paths.positions", self.positions, "finite numbers")
         fits = len(self.positions) == len(self.times_s) > 0
         require(fits, "scenario.paths.positions", self.positions, expected)
         rising = all(a < b for a, b in pairwise(self.times_s))
@@ -52,9 +59,12 @@ class SourceSettings:
     frozen_step: int | None = None
 
     def __post_init__(self) -> None:
-        pairs = all(len(s) == 2 and 0 <= s[0] <= s[1] for s in self.silences)
+        pairs = all(_are_numbers(s) and len(s) == 2 and 0 <= s[0] <= s[1] for s in self.silences)
         require(pairs, "scenario.sources.silences", self.silences, "pairs [first, last]")
         require(self.birth >= 0, "scenario.sources.birth", self.birth, "a step from 0 up")
+        require(math.isfinite(self.power_db), "scenario.sources.power_db", self.power_db, "a finite number")
+        frozen = self.frozen_step is None or self.frozen_step >= 0
+        require(frozen, "scenario.sources.frozen_step", self.frozen_step, "a step from 0 up, or null")
         ends = self.death is None or self.death > self.birth
         require(ends, "scenario.sources.death", self.death, f"a step after birth {self.birth}, or null")
 
