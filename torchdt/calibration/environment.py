@@ -33,6 +33,7 @@ class CalibrationConfig:
         steps: number of time steps used, evenly spread.
         sources: sources per step used, at most.
         passes: of detecting sources in the fitted environment and fitting again.
+        share: also estimate which share of each tone the fitted environment still does not cover.
         false_alarm: probability of leaving the nominal environment where it is the true one.
         eof_std: prior standard deviation of each sound-speed EOF coefficient.
         tilt_std_deg, water_depth_std_m: prior standard deviations of array tilt and water depth.
@@ -42,6 +43,7 @@ class CalibrationConfig:
     steps: int = 24
     sources: int = 3
     passes: int = 2
+    share: bool = True
     false_alarm: float = 1e-5
     eof_std: float = 1.0
     tilt_std_deg: float = 1.0
@@ -120,7 +122,8 @@ def calibrate(
             theta = fitted.theta
             field = family.solve(theta)
         position = fitted.position if significant else fixed.position
-        share = mismatch_share(field, position, picks.active, part)
+        if config.share:
+            share = mismatch_share(field, position, picks.active, part)
         if not significant:
             break
     return Calibration(theta, share)

@@ -1,8 +1,6 @@
 """How well the tracker does on a suite of scenarios, each with several seeds."""
 
-import csv
 import dataclasses
-import io
 import itertools
 import logging
 import math
@@ -18,22 +16,18 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
-from rich.table import Table
-from scipy.optimize import linear_sum_assignment
 from scipy.stats import t as student
 from torch import Tensor
 
-from torchdt.atomic import atomic_write
 from torchdt.errors import require
 from torchdt.experiment.build import build_tracker, simulate
 from torchdt.experiment.settings import TrackSettings, settings_of
 from torchdt.experiment.track import score_history
 from torchdt.history import TrackHistory
-from torchdt.metrics.gospa import Gospa
-from torchdt.metrics.tgospa import tgospa, trajectories
+from torchdt.metrics import Gospa, tgospa, track_delays, trajectories
 from torchdt.report.files import manifest, write_json
+from torchdt.report.quality import Quality, print_rows, write_rows
 from torchdt.scenario.recording import Recording
-from torchdt.scenario.settings import ScenarioSettings
 from torchdt.scenario.visibility import hidden_steps
 from torchdt.tracking import track
 
@@ -70,78 +64,6 @@ class QualitySettings:
 
 
 ConfigStore.instance().store(name="quality_schema", node=QualitySettings)
-
-
-@dataclass
-class Quality:
-    """Scores of one scenario; means are over runs and visible steps unless it says otherwise.
-
-    Attributes:
-        scenario: its name.
-        error: what went wrong; empty where nothing did.
-        runs, hidden: number of runs, and of hidden steps in each.
-        gospa, gospa_ci: mean GOSPA and half its 95 % confidence interval over the runs (Student's t).
-        localisation, missed, false: its parts.
-        gospa_all, gospa_hidden: mean GOSPA over all steps, and over the hidden ones.
-        count_error: mean absolute difference of the numbers of declared and true objects.
-        switches: label switches per run (T-GOSPA), all steps.
-        false_per_100: false estimates per 100 steps.
-        birth_delay: median steps from birth to the first assigned estimate within the cutoff; the lifetime
-            for a source that is never found.
-        drop_delay: median steps from death to the end of the track that had the source in its last step; the
-            remaining steps for one that goes on to the end.
-        steps_per_second: of all runs together, tracking alone.
-        real_time: how many times faster than the recording the tracking of all runs together is.
-        seconds: calibration and tracking of all runs.
-        gospa_by_run: mean GOSPA of each run, for paired comparisons.
-    """
-
-    scenario: str
-    error: str = ""
-    runs: int = 0
-    hidden: int = 0
-    gospa: float = math.nan
-    gospa_ci: float = math.nan
-    localisation: float = math.nan
-    missed: float = math.nan
-    false: float = math.nan
-    gospa_all: float = math.nan
-    gospa_hidden: float = math.nan
-    count_error: float = math.nan
-    switches: float = math.nan
-    false_per_100: float = math.nan
-    birth_delay: float = math.nan
-    drop_delay: float = math.nan
-    steps_per_second: float = math.nan
-    real_time: float = math.nan
-    seconds: float = math.nan
-    gospa_by_run: list[float] = dataclasses.field(default_factory=list)
-
-
-TABLES = {
-    "GOSPA": {
-        "gospa": "mean",
-        "gospa_ci": "± 95 %",
-        "localisation": "local.",
-        "missed": "missed",
-        "false": "false",
-        "gospa_all": "all steps",
-        "gospa_hidden": "hidden",
-    },
-    "Tracks": {
-        "count_error": "count error",
-        "switches": "switches",
-        "false_per_100": "false/100",
-        "birth_delay": "birth delay",
-        "drop_delay": "drop delay",
-    },
-    "Speed": {
-        "runs": "runs",
-        "steps_per_second": "steps/s",
-        "real_time": "x real time",
-        "seconds": "seconds",
-    },
-}
 
 
 def run_quality(config: DictConfig) -> list[Quality]:
@@ -236,8 +158,8 @@ def score(
     switches = [
         tgospa(truth[b], trajectories(run), cutoff, gamma, order).num_switches for b, run in enumerate(runs)
     ]
-    delays = [track_delays(run, truth[b], scenario) for b, run in enumerate(runs)]
-    births, drops = ([d for pair in delays for d in pair[i]] for i in range(2))
+    delays = [track_delays(run, truth[b], cutoff, order) for b, run in enumerate(runs)]
+    births, drops = (list(itertools.chain(*steps)) for steps in zip(*delays, strict=True))
     error = (visible.num_estimated - visible.num_truth).abs().double().mean()
     return Quality(
         scenario=name,
@@ -265,69 +187,3 @@ def confidence(values: Tensor) -> float:
     if number < 2:
         return math.nan
     return float(student.ppf(0.975, number - 1) * values.std() / math.sqrt(number))
-
-
-def track_delays(
-    history: TrackHistory, truth: Tensor, scenario: ScenarioSettings
-) -> tuple[list[int], list[int]]:
-    """Delays of declaring and of dropping, in steps; `Quality` says how they count.
-
-    Args:
-        history: of one run, without batch.
-        truth: `(K, L, d)`, NaN while absent; a source is present in one stretch.
-        scenario: gives cutoff and order of the assignment.
-
-    Returns:
-        One delay for each source that is born, and one for each that dies while it is tracked.
-    """
-    present = ~truth.isnan().any(-1)
-    owner = torch.zeros_like(present, dtype=torch.int64)  # label of the estimate assigned, 0 = none
-    reported = [history.label[k][declared] for k, declared in enumerate(history.declared)]
-    for k, labels in enumerate(reported):
-        distance = torch.cdist(truth[k, present[k]], history.position[k, history.declared[k]].double())
-        i, j = linear_sum_assignment(distance.clamp_max(scenario.gospa_cutoff) ** scenario.gospa_order)
-        near = (distance[i, j] < scenario.gospa_cutoff).numpy()
-        owner[k, present[k].nonzero()[i[near], 0]] = labels[j[near]]
-
-    births, drops = [], []
-    for source in range(truth.shape[1]):
-        steps = present[:, source].nonzero()[:, 0]
-        if not len(steps):
-            continue
-        found = owner[steps, source].nonzero()[:, 0]
-        births.append(int(found[0]) if len(found) else len(steps))
-        end = int(steps[-1]) + 1
-        label = owner[end - 1, source]
-        if end < len(truth) and label > 0:
-            lasts = [bool((labels == label).any()) for labels in reported[end:]]
-            drops.append(lasts.index(False) if False in lasts else len(lasts))
-    return births, drops
-
-
-def write_rows(directory: Path, rows: Sequence[Quality]) -> None:
-    """Replace `quality.csv` and `quality.json`."""
-    table = [dataclasses.asdict(row) for row in rows]
-    write_json(directory / "quality.json", {"scenarios": table})
-    columns = [key for key, value in table[0].items() if not isinstance(value, list)]
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, columns, extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(table)
-    with atomic_write(directory / "quality.csv") as file:
-        file.write(buffer.getvalue().encode())
-
-
-def print_rows(console: Console, rows: Sequence[Quality]) -> None:
-    """Print the tables, then what failed."""
-    for title, columns in TABLES.items():
-        table = Table(title=title)
-        table.add_column("scenario")
-        for header in columns.values():
-            table.add_column(header, justify="right")
-        for row in rows:
-            values = (getattr(row, name) for name in columns)
-            table.add_row(row.scenario, *("-" if math.isnan(v) else f"{v:.3g}" for v in values))
-        console.print(table)
-    for row in rows:
-        if row.error:
-            console.print(f"{row.scenario} failed: {row.error}", style="bold red", markup=False)

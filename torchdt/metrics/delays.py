@@ -1,0 +1,56 @@
+"""How fast a tracker declares what appears, and drops what disappears."""
+
+from typing import NamedTuple
+
+import torch
+from scipy.optimize import linear_sum_assignment
+from torch import Tensor
+
+from torchdt.history import TrackHistory
+
+
+class TrackDelays(NamedTuple):
+    """Delays in steps.
+
+    Attributes:
+        birth: for each source that is ever present, from its birth to the first estimate assigned to it; its
+            lifetime where it is never found.
+        drop: for each source that dies while a track has it in its last step, from its death to the end of
+            that track; the remaining steps for a track that goes on to the end.
+    """
+
+    birth: list[int]
+    drop: list[int]
+
+
+def track_delays(history: TrackHistory, truth: Tensor, cutoff: float, order: float = 1.0) -> TrackDelays:
+    """Delays of declaring and of dropping.
+
+    Args:
+        history: of one run, without batch, on the CPU.
+        truth: `(K, L, d)` float64 true positions, NaN while absent; a source is present in one stretch.
+        cutoff: distance below which an estimate can be assigned to a source, in the unit of the coordinates.
+        order: of the distances in the assignment.
+    """
+    present = ~truth.isnan().any(-1)
+    owner = torch.zeros_like(present, dtype=torch.int64)  # label of the estimate assigned, 0 = none
+    reported = [history.label[k][declared] for k, declared in enumerate(history.declared)]
+    for k, labels in enumerate(reported):
+        distance = torch.cdist(truth[k, present[k]], history.position[k, history.declared[k]].double())
+        i, j = linear_sum_assignment(distance.clamp_max(cutoff) ** order)
+        near = (distance[i, j] < cutoff).numpy()
+        owner[k, present[k].nonzero()[i[near], 0]] = labels[j[near]]
+
+    births, drops = [], []
+    for source in range(truth.shape[1]):
+        steps = present[:, source].nonzero()[:, 0]
+        if not len(steps):
+            continue
+        found = owner[steps, source].nonzero()[:, 0]
+        births.append(int(found[0]) if len(found) else len(steps))
+        end = int(steps[-1]) + 1
+        label = owner[end - 1, source]
+        if end < len(truth) and label > 0:
+            lasts = [bool((labels == label).any()) for labels in reported[end:]]
+            drops.append(lasts.index(False) if False in lasts else len(lasts))
+    return TrackDelays(births, drops)
