@@ -31,7 +31,9 @@ def effective_sample_size(log_weight: Tensor) -> Tensor:
 
 def mean_and_covariance(points: Tensor, log_weight: Tensor) -> tuple[Tensor, Tensor]:
     """Weighted mean `(*batch, D)` and covariance `(*batch, D, D)` of points `(*batch, P, D)`."""
-    weight = log_weight.exp()[..., None]
-    mean = (weight * points).sum(-2)
-    centred = points - mean[..., None, :]
-    return mean, (weight * centred).mT @ centred
+    # A sum of a thousand nearly equal squares loses four digits in single precision, enough to make the
+    # covariance of a set of few distinct points indefinite.
+    exact, weight = points.double(), log_weight.double().exp()[..., None]
+    mean = (weight * exact).sum(-2)
+    centred = exact - mean[..., None, :]
+    return mean.to(points.dtype), ((weight * centred).mT @ centred).to(points.dtype)
