@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from oracles.arrays import sample_covariance
 from oracles.line_array import make_tracker, simulate
 
 from torchdt.errors import InputError
@@ -69,7 +70,7 @@ def test_limits_of_the_priors_are_in_units_of_the_data(snapshots):
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 def test_covariances_say_the_same_as_their_snapshots(snapshots, dtype, unit):
     tracker = make_tracker(dtype)
-    covariance = unit**2 * snapshots.mT @ snapshots.conj() / 3
+    covariance = unit**2 * sample_covariance(snapshots)
     one = track(record(unit * snapshots), tracker, [1, 2])
     other = track(validate(step_s=1.0, covariance=covariance, num_snapshots=3), tracker, [1, 2])
     tolerance = 1e-5 if dtype == torch.float64 else 5e-3

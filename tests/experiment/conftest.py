@@ -1,35 +1,19 @@
-import contextlib
 import csv
-import importlib.util
-import io
 import json
-import logging
-import sys
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from unittest import mock
 
+import numpy as np
 import pytest
 from hydra import compose, initialize_config_module
+from oracles.scripts import SMALL, call, load
 
 from torchdt.experiment.build import simulate
 from torchdt.experiment.settings import settings_of
 
-SCRIPT = Path(__file__).parents[2] / "experiments" / "track.py"
-SMALL = (
-    "scenario=line_array",
-    "scenario.num_steps=5",
-    "tracker.slots=4",
-    "tracker.births=4",
-    "tracker.particles=100",
-    "tracker.rounds=2",
-    "tracker.round_size=32",
-)
-
-
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
+SMALL_LINE = ("scenario=line_array", *SMALL)
 
 
 @dataclass
@@ -59,54 +43,28 @@ class Outcome:
         return [float(row["gospa"]) for row in self.rows("gospa.csv")]
 
 
-@contextlib.contextmanager
-def same_logging():
-    """Undo what Hydra does to the root logger."""
-    root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
-    try:
-        yield
-    finally:
-        for handler in set(root.handlers) - set(handlers):
-            handler.close()
-        root.handlers[:] = handlers
-        root.setLevel(level)
-
-
 @pytest.fixture(scope="session")
 def launch(tmp_path_factory):
-    """Run `experiments/track.py` in this process, as the command line would."""
-    spec = importlib.util.spec_from_file_location("track", SCRIPT)
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+    """Run `experiments/track.py`."""
+    script = load("track")
     run_track = script.run_track
 
     def launch(*overrides, small=True, terminal=False):
         """Small and without figures unless told otherwise."""
         outcome = Outcome(tmp_path_factory.mktemp("run", numbered=True))
-        out, err = (Terminal(), Terminal()) if terminal else (io.StringIO(), io.StringIO())
-        size = SMALL if small else ()
+        size = SMALL_LINE if small else ()
         places = [f"hydra.run.dir={outcome.directory}", f"hydra.sweep.dir={outcome.directory}"]
         flags = [o for o in overrides if o.startswith("-")]
         rest = [o for o in overrides if not o.startswith("-")]
-        argv = [str(SCRIPT), *flags, "logging=quiet", *size, *places, *rest]
 
         def recorded(config):
             outcome.values.append(run_track(config))
             return outcome.values[-1]
 
-        with (
-            same_logging(),
-            mock.patch.object(sys, "argv", argv),
-            mock.patch.object(script, "run_track", recorded),
-            contextlib.redirect_stdout(out),
-            contextlib.redirect_stderr(err),
-        ):
-            try:
-                script.main()
-            except SystemExit as end:
-                outcome.status = end.code
-        outcome.out, outcome.err = out.getvalue(), err.getvalue()
+        with mock.patch.object(script, "run_track", recorded):
+            outcome.status, outcome.out, outcome.err = call(
+                script, *flags, "logging=quiet", *size, *places, *rest, terminal=terminal
+            )
         return outcome
 
     return launch
@@ -118,7 +76,7 @@ def settings():
 
     def settings(*overrides, small=True):
         with initialize_config_module("torchdt.conf", version_base="1.3"):
-            size = SMALL if small else ()
+            size = SMALL_LINE if small else ()
             return settings_of(compose("track", overrides=[*size, *overrides]))
 
     return settings
@@ -128,3 +86,20 @@ def settings():
 def recording(settings):
     """Two simulated sequences."""
     return simulate(settings("runs=2"))
+
+
+@pytest.fixture(scope="session")
+def measured():
+    """Folder of the measured tables of SWellEx-96."""
+    folder = os.environ.get("TORCHDT_DATA")
+    if not folder or not (Path(folder) / "swellex96").is_dir():
+        pytest.skip("measured data: TORCHDT_DATA names no folder that holds swellex96")
+    return Path(folder) / "swellex96"
+
+
+@pytest.fixture(scope="session")
+def casts(measured):
+    """Depths `(Z,)`, m, and sound speeds `(Z, number)`, m/s, of the casts that reach 160 m, down to there."""
+    table = np.genfromtxt(measured / "ctd_casts.csv", delimiter=",", skip_header=1)
+    table = table[table[:, 0] <= 160]
+    return table[:, 0], table[:, 1:][:, ~np.isnan(table[:, 1:]).any(0)]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from oracles.arrays import changed, sample_covariance
 
 from torchdt.scenario.npz import write_npz
 
@@ -168,18 +169,11 @@ def arrays(recording):
 
 @pytest.fixture
 def covariance(recording):
-    z = recording.snapshots.numpy()
     return {
-        "covariance": np.einsum("bkijm,bkijn->bkimn", z, z.conj()) / 3,
+        "covariance": sample_covariance(recording.snapshots).numpy(),
         "num_snapshots": 3,
         "step_s": recording.step_s,
     }
-
-
-def with_value(array, index, value):
-    array = array.copy()
-    array[index] = value
-    return array
 
 
 def test_good_arrays_are_tracked(track, arrays, covariance):
@@ -254,7 +248,7 @@ def test_truth_of_other_coordinates(track, arrays):
 
 @pytest.mark.parametrize("key", ["snapshots", "truth"])
 def test_infinite_values(track, arrays, key):
-    arrays[key] = with_value(arrays[key], (0, 2, 0, 0), np.inf)
+    arrays[key] = changed(arrays[key], (0, 2, 0, 0), np.inf)
     fails(
         track(arrays), f"key '{key}'", "found", "infinite values, the first at (0, 2, 0, 0", "expected none"
     )
@@ -271,7 +265,7 @@ def test_real_snapshots(track, arrays):
 
 
 def test_covariance_that_is_not_hermitian(track, covariance):
-    covariance["covariance"] = with_value(covariance["covariance"], (1, 2, 0, 0, 1), 50.0)
+    covariance["covariance"] = changed(covariance["covariance"], (1, 2, 0, 0, 1), 50.0)
     words = ("found a matrix that is not Hermitian (run 1, step 2, tone 0", "expected Hermitian matrices")
     fails(track(covariance), "key 'covariance'", *words)
 

@@ -3,14 +3,14 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
-SCRIPT = Path(__file__).parents[2] / "experiments" / "track.py"
+from oracles.scripts import FOLDER
+
 SMALL = ("scenario=line_array", "scenario.num_steps=3", "tracker.particles=50", "logging=quiet")
 
 
 def start(*arguments, folder):
-    command = [sys.executable, str(SCRIPT), *arguments]
+    command = [sys.executable, str(FOLDER / "track.py"), *arguments]
     return subprocess.run(
         command, cwd=folder, capture_output=True, text=True, stdin=subprocess.DEVNULL, check=False
     )

@@ -1,5 +1,3 @@
-import csv
-import os
 from pathlib import Path
 
 import numpy as np
@@ -16,17 +14,8 @@ CONF = Path(torchdt.conf.__file__).parent
 OPTIONS = sorted((path.parent.name, path.stem) for path in CONF.glob("*/*.yaml"))
 
 
-@pytest.fixture(scope="module")
-def data():
-    folder = os.environ.get("TORCHDT_DATA")
-    if not folder or not (Path(folder) / "swellex96").is_dir():
-        pytest.skip("measured data: TORCHDT_DATA names no folder that holds swellex96")
-    return Path(folder) / "swellex96"
-
-
 def read_table(path):
-    with path.open(newline="") as file:
-        return np.array([[float(value) for value in row] for row in list(csv.reader(file))[1:]])
+    return np.genfromtxt(path, delimiter=",", skip_header=1)
 
 
 def test_options_are_found():
@@ -86,36 +75,33 @@ def test_simulated_power(settings):
     assert float(10 * ((both - noise) / noise).log10()) == pytest.approx(7, abs=0.3)
 
 
-def test_configured_profile_follows_the_measured_one(settings, data):
-    depth, speed = read_table(data / "ssp_optimized_env.csv").T
+def test_configured_profile_follows_the_measured_one(settings, measured):
+    depth, speed = read_table(measured / "ssp_optimized_env.csv").T
     knots = np.array(settings(small=False).field["profile"])
     np.testing.assert_allclose(np.interp(depth, *knots.T), speed, atol=0.2)
     assert (knots[0, 0], knots[-1, 0]) == (0, 216.5)  # surface and seafloor
 
 
-def test_configured_elements_are_the_published_ones(settings, data):
-    published = np.loadtxt(data / "vla_depths_21.csv")
+def test_configured_elements_are_the_published_ones(settings, measured):
+    published = np.loadtxt(measured / "vla_depths_21.csv")
     np.testing.assert_array_equal(settings(small=False).field["element_depths"], published)
 
 
-def test_configured_track_is_the_published_one(settings, data):
-    table = read_table(data / "range_S5.csv")
+def test_configured_track_is_the_published_one(settings, measured):
+    table = read_table(measured / "range_S5.csv")
     published = table[(table[:, 0] >= 30) & (table[:, 0] <= 50)]
     tow = settings(small=False).scenario.paths["tow"]
     np.testing.assert_allclose(tow.times_s, 60 * (published[:, 0] - 30))
     np.testing.assert_allclose([position[0] for position in tow.positions], 1000 * published[:, 1])
 
 
-def test_sound_speed_statistics_are_those_of_the_casts(settings, data):
+def test_sound_speed_statistics_are_those_of_the_casts(settings, casts):
     """The variance that the four functions hold, against the casts that reach 160 m."""
-    table = read_table(data / "ctd_casts.csv")
-    depth, casts = table[:, 0], table[:, 1:]
-    casts = casts[:, ~np.isnan(casts[depth <= 160]).any(0)]
+    depth, speed = casts
     eofs = settings(small=False).field["eofs"]
-    at = np.searchsorted(depth, eofs["depths"])
-    variance = casts[at].var(1, ddof=1)
+    variance = speed[np.searchsorted(depth, eofs["depths"])].var(1, ddof=1)
     held = (np.array(eofs["functions"]) ** 2).sum(1)
-    assert casts.shape[1] == 24
+    assert speed.shape[1] == 24
     assert held.sum() < variance.sum()
     assert held.sum() == pytest.approx(0.85 * variance.sum(), rel=0.15)
 

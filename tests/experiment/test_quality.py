@@ -1,42 +1,23 @@
-import contextlib
 import csv
-import importlib.util
-import io
 import json
 import math
-import sys
-from pathlib import Path
-from unittest import mock
 
 import pytest
 import torch
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
+from oracles.histories import line_history
+from oracles.scripts import SMALL, call, load
 
 from torchdt.errors import InputError
-from torchdt.experiment.quality import (
-    Quality,
-    QualitySettings,
-    confidence,
-    consecutive,
-    score,
-    track_delays,
-)
+from torchdt.experiment.quality import QualitySettings, confidence, consecutive, score
 from torchdt.history import TrackHistory
+from torchdt.report.quality import Quality
 from torchdt.scenario.recording import validate
 from torchdt.scenario.settings import PathSettings, ScenarioSettings, SourceSettings
 from torchdt.scenario.simulate import source_track
 from torchdt.scenario.visibility import hidden_steps
 
-SCRIPT = Path(__file__).parents[2] / "experiments" / "quality.py"
-SMALL = (
-    "scenario.num_steps=6",
-    "calibration=none",
-    "tracker.particles=50",
-    "tracker.slots=4",
-    "tracker.births=2",
-    "tracker.rounds=1",
-)
 SUITE = (
     "matched_20",
     "matched_34",
@@ -48,30 +29,22 @@ SUITE = (
     "silence",
     "empty",
 )
-NAN = float("nan")
-
-
-def launch(directory, *overrides):
-    """Run `experiments/quality.py` in this process; exit status and output."""
-    spec = importlib.util.spec_from_file_location("quality", SCRIPT)
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    small = "overrides=[" + ",".join(f'"{o}"' for o in SMALL) + "]"
-    argv = [str(SCRIPT), f"hydra.run.dir={directory}", "hydra/job_logging=none", small, *overrides]
-    out, status = io.StringIO(), 0
-    with mock.patch.object(sys, "argv", argv), contextlib.redirect_stdout(out):
-        try:
-            script.main()
-        except SystemExit as end:
-            status = end.code
-    return status, out.getvalue()
 
 
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory):
     """A suite with a scenario that does not exist in the middle."""
     directory = tmp_path_factory.mktemp("quality")
-    status, out = launch(directory, "suite=[line_array,nowhere,empty]", "seeds=[0,1,3]", "separation=1")
+    small = ",".join(f'"{o}"' for o in ("calibration=none", *SMALL))
+    status, out, _ = call(
+        load("quality"),
+        f"hydra.run.dir={directory}",
+        "hydra/job_logging=none",
+        f"overrides=[{small}]",
+        "suite=[line_array,nowhere,empty]",
+        "seeds=[0,1,3]",
+        "separation=1",
+    )
     with (directory / "quality.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     return status, out, rows, json.loads((directory / "quality.json").read_text())["scenarios"]
@@ -156,31 +129,12 @@ def test_hidden_steps():
         sources={name: SourceSettings("p", silences=pairs) for name, pairs in silences.items()},
     )
     far = torch.tensor([[0.0, 0.0], [100.0, 0.0], [0.0, 50.0]]).expand(8, 3, 2).clone()
-    far[:3, 2] = NAN
+    far[:3, 2] = torch.nan
     far[4, 2] = torch.tensor([100.0, 29.0])
     far[5, 2] = torch.tensor([100.0, 30.0])
     expected = [False, True, True, True, True, False, True, True]
     assert hidden_steps(scenario, far, 30.0).tolist() == expected
     assert not hidden_steps(ScenarioSettings(num_steps=8), torch.zeros(8, 0, 2), 30.0).any()
-
-
-def history_of(label, position):
-    """Of one run, `(K, N)` labels and positions on a line; label 0 is an empty slot."""
-    label = torch.tensor(label)
-    position = torch.tensor(position, dtype=torch.float32)
-    state = torch.stack([position, torch.zeros_like(position)], -1)
-    blank = torch.zeros(len(label))
-    return TrackHistory(blank, label > 0, label, state, blank, blank, blank, blank)
-
-
-def test_delays():
-    scenario = ScenarioSettings(num_steps=6, gospa_cutoff=2.0)
-    first, second = [0.0] * 4 + [NAN] * 2, [NAN, 50.0, 50.0, 50.0, NAN, NAN]
-    truth = torch.tensor([first, second]).double().T[..., None]
-    label = [[7, 0], [7, 0], [7, 8], [7, 8], [7, 8], [0, 8]]
-    position = [[9.0, 0], [1, 0], [1, 50], [1, 50], [1, 50], [1, 50]]
-    assert track_delays(history_of(label, position), truth, scenario) == ([1, 1], [1, 2])
-    assert track_delays(history_of([[0]] * 6, [[0.0]] * 6), truth, scenario) == ([4, 3], [])
 
 
 def test_score(settings):
@@ -189,8 +143,8 @@ def test_score(settings):
         "scenario.num_steps=3", "scenario.sources.first.silences=[[1,1]]", "~scenario.sources.second"
     )
     truth = torch.tensor([[[[0.0]]] * 3] * 2).double()
-    good = history_of([[1, 0], [2, 0], [2, 0]], [[1.0, 0]] * 3)
-    bad = history_of([[0, 0], [0, 0], [3, 4]], [[30.0, 40]] * 3)
+    good = line_history([[1, 0], [2, 0], [2, 0]], [[1.0, 0]] * 3)
+    bad = line_history([[0, 0], [0, 0], [3, 4]], [[30.0, 40]] * 3)
     history = TrackHistory(*(torch.stack(pair) for pair in zip(good, bad, strict=True)))
     recording = validate(step_s=1.0, snapshots=torch.zeros(2, 3, 1, 1, 1, dtype=torch.complex64), truth=truth)
     row = score("x", history, recording, track_settings, QualitySettings(suite=["x"], separation=1.0))

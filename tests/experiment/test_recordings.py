@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from oracles.arrays import sample_covariance
 
 from torchdt.scenario.npz import write_npz
 from torchdt.scenario.recording import validate
@@ -29,9 +30,11 @@ def track(launch, tmp_path):
 
 def as_covariance(recording):
     z = recording.snapshots
-    covariance = torch.einsum("bkijm,bkijn->bkimn", z, z.conj()) / z.shape[-2]
     return validate(
-        step_s=recording.step_s, covariance=covariance, num_snapshots=z.shape[-2], truth=recording.truth
+        step_s=recording.step_s,
+        covariance=sample_covariance(z),
+        num_snapshots=z.shape[-2],
+        truth=recording.truth,
     )
 
 

@@ -2,7 +2,12 @@ import math
 
 import pytest
 import torch
-from oracles.arrays import complex_normal, direct_log_likelihood, random_covariance
+from oracles.arrays import (
+    complex_normal,
+    direct_log_likelihood,
+    random_covariance,
+    sample_covariance,
+)
 from torch.distributions import MultivariateNormal
 
 from torchdt.linalg import NumericalError
@@ -29,10 +34,6 @@ def snapshots(rng) -> torch.Tensor:
 @pytest.fixture
 def covariance(rng) -> torch.Tensor:
     return random_covariance(rng, 4, TONES, sensors=SENSORS)
-
-
-def sample_covariance(snapshots: torch.Tensor) -> torch.Tensor:
-    return snapshots.mT @ snapshots.conj() / snapshots.shape[-2]
 
 
 def test_likelihood_equals_the_real_multivariate_normal(snapshots, covariance):

@@ -1,6 +1,6 @@
 import pytest
 import torch
-from oracles.arrays import complex_normal
+from oracles.arrays import complex_normal, sample_covariance
 
 from torchdt.errors import InputError
 from torchdt.model.measurement import from_covariance, from_snapshots
@@ -14,10 +14,6 @@ def snapshots() -> torch.Tensor:
     return complex_normal(torch.Generator().manual_seed(1), 2, STEPS, TONES, SNAPSHOTS, SENSORS)
 
 
-def covariance_of(snapshots):
-    return snapshots.mT @ snapshots.conj() / SNAPSHOTS
-
-
 @pytest.mark.parametrize("unit", [1e-20, 1e-3, 1.0, 1e20])
 @pytest.mark.parametrize("dtype", [torch.complex64, torch.complex128])
 def test_scale_is_the_root_mean_square(snapshots, unit, dtype):
@@ -29,7 +25,7 @@ def test_scale_is_the_root_mean_square(snapshots, unit, dtype):
 @pytest.mark.parametrize("unit", [1e-20, 1.0, 1e20])
 def test_scale_of_a_covariance_is_that_of_its_snapshots(snapshots, unit):
     expected = data_scale(snapshots * unit, is_covariance=False)
-    found = data_scale(covariance_of(snapshots * unit), is_covariance=True)
+    found = data_scale(sample_covariance(snapshots * unit), is_covariance=True)
     torch.testing.assert_close(found, expected)
 
 
@@ -44,7 +40,7 @@ def test_scale_leaves_out_what_is_missing(snapshots):
 
 @pytest.mark.parametrize(("is_covariance", "key"), [(False, "snapshots"), (True, "covariance")])
 def test_zeros_are_named(snapshots, is_covariance, key):
-    data = covariance_of(snapshots) if is_covariance else snapshots.clone()
+    data = sample_covariance(snapshots) if is_covariance else snapshots.clone()
     data[1] = 0
     with pytest.raises(InputError, match=f"key '{key}': found only zeros, expected a signal or noise"):
         data_scale(data, is_covariance)
@@ -71,6 +67,6 @@ def test_priors_cover_the_data_and_ignore_a_silent_tone_and_a_dead_channel(snaps
 
 def test_priors_of_covariances_equal_those_of_snapshots(snapshots):
     one = data_priors(from_snapshots(snapshots))
-    other = data_priors(from_covariance(covariance_of(snapshots), SNAPSHOTS))
+    other = data_priors(from_covariance(sample_covariance(snapshots), SNAPSHOTS))
     torch.testing.assert_close(one.power_max, other.power_max)
     torch.testing.assert_close(one.noise_max, other.noise_max)

@@ -2,7 +2,9 @@
 
 import math
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 
@@ -15,6 +17,18 @@ def random_covariance(generator: torch.Generator, *batch: int, sensors: int) -> 
     """Well-conditioned random covariances."""
     root = complex_normal(generator, *batch, sensors, sensors)
     return root @ root.mH / sensors + 0.3 * torch.eye(sensors, dtype=torch.complex128)
+
+
+def sample_covariance(snapshots: Tensor) -> Tensor:
+    """Mean of z_j z_j^H over the snapshots; (..., J, M) to (..., M, M)."""
+    return snapshots.mT @ snapshots.conj() / snapshots.shape[-2]
+
+
+def changed(array: NDArray, index: tuple, value: complex) -> NDArray:
+    """A copy with other values at an index."""
+    array = np.copy(array)
+    array[index] = value
+    return array
 
 
 def direct_log_likelihood(snapshots: Tensor, covariance: Tensor) -> Tensor:

@@ -4,6 +4,7 @@ import pickle
 import numpy as np
 import pytest
 import torch
+from oracles.arrays import changed
 
 from torchdt.errors import InputError
 from torchdt.scenario.npz import read_npz, write_npz
@@ -48,12 +49,6 @@ def path(tmp_path):
 def read(path, arrays):
     np.savez(path, **arrays)
     return read_npz(path)
-
-
-def changed(array, index, value):
-    array = array.copy()
-    array[index] = value
-    return array
 
 
 def test_reads_one_recording(path):
@@ -242,20 +237,14 @@ BAD_COVARIANCE_FILES = [
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"), BAD_SNAPSHOT_FILES, ids=lambda p: p if isinstance(p, str) else ""
+    ("file", "changes", "message"),
+    [(snapshot_file, *case) for case in BAD_SNAPSHOT_FILES]
+    + [(covariance_file, *case) for case in BAD_COVARIANCE_FILES],
+    ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_bad_snapshot_file(path, changes, message):
+def test_bad_file(path, file, changes, message):
     with pytest.raises(InputError, match=message) as caught:
-        read(path, snapshot_file(**changes))
-    assert str(path) in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"), BAD_COVARIANCE_FILES, ids=lambda p: p if isinstance(p, str) else ""
-)
-def test_bad_covariance_file(path, changes, message):
-    with pytest.raises(InputError, match=message) as caught:
-        read(path, covariance_file(**changes))
+        read(path, file(**changes))
     assert str(path) in str(caught.value)
 
 

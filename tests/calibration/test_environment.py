@@ -1,0 +1,99 @@
+"""Calibration from snapshots alone: detect, fit, keep the nominal environment unless it is wrong."""
+
+import pytest
+import torch
+
+from torchdt.calibration.environment import Calibration, CalibrationConfig, calibrate
+from torchdt.config import TrackerConfig
+from torchdt.errors import InputError
+from torchdt.model.measurement import Measurement
+from torchdt.model.prior import data_priors
+from torchdt.model.region import Coordinate, Region
+
+F64 = torch.float64
+REGION = Region(
+    [
+        Coordinate("range", "m", 2000.0, 3500.0, 25.0, -4.0, 4.0, 1e-2),
+        Coordinate("depth", "m", 20.0, 80.0, 2.0, -1.0, 1.0, 1e-5),
+    ],
+    F64,
+)
+
+
+def fit(family, measurement: Measurement, seed: int = 0, **config) -> Calibration:
+    settings = CalibrationConfig(**({"enabled": True, "steps": 8, "sources": 3} | config))
+    threshold = TrackerConfig().pick_threshold(REGION.num_cells)
+    stream = torch.Generator().manual_seed(seed)
+    return calibrate(family, REGION, measurement, data_priors(measurement), settings, threshold, stream)
+
+
+@pytest.fixture(scope="module")
+def found(family, scene) -> Calibration:
+    return fit(family, scene.measurement)
+
+
+def test_finds_the_environment_the_data_were_made_in(found, scene):
+    """Errors are 0.09 standard deviations of the EOFs, 0.002 degrees and 3 cm of water."""
+    error = (found.theta - scene.theta).abs()
+    assert (error[:2] < 0.3).all()
+    assert error[2] < 0.1
+    assert error[3] < 0.2
+    assert found.theta.dtype == F64
+    assert (found.share <= 0.003).all()
+
+
+def test_same_generator_same_result(family, scene):
+    first, second = (fit(family, scene.measurement, seed=2, steps=3, passes=1) for _ in range(2))
+    assert first.theta.ne(0).all()
+    assert torch.equal(first.theta, second.theta)
+    assert torch.equal(first.share, second.share)
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_a_true_nominal_environment_is_kept_exactly(family, nominal, scene, measure, seed):
+    kept = fit(family, measure(nominal(scene.truth), seed))
+    assert torch.equal(kept.theta, torch.zeros(4, dtype=F64))
+    assert (kept.share <= 0.003).all()
+
+
+@pytest.mark.parametrize("seed", [6, 7])
+def test_noise_alone_says_nothing(family, nominal, scene, measure, seed):
+    kept = fit(family, measure(0 * nominal(scene.truth), seed))
+    assert torch.equal(kept.theta, torch.zeros(4, dtype=F64))
+    assert torch.equal(kept.share, torch.zeros(3, dtype=F64))
+
+
+def test_share_is_estimated_on_demand_only(family, nominal, scene, measure, scattered):
+    data = measure(scattered(nominal, scene.truth, 0.3, seed=1), seed=1)
+    assert (fit(family, data, passes=1).share > 0.05).all()
+    assert fit(family, data, passes=1, share=False).share.eq(0).all()
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_steps_are_spread_over_the_recording(family, nominal, scene, measure, first):
+    """Sources in every third step only: found where these are the steps looked at, not where others are."""
+    loud, quiet = (measure(x * scene.field(scene.truth), 8) for x in (1, 0))
+    steps = 22
+    heard = {k: i for i, k in enumerate(range(first, steps, 3))}
+    parts = [(loud, heard[k]) if k in heard else (quiet, k % 8) for k in range(steps)]
+    sparse = Measurement(*(torch.stack([data[field][i] for data, i in parts]) for field in range(3)))
+    theta = fit(family, sparse, passes=1).theta
+    if first == 0:
+        assert (theta - scene.theta).abs()[2] < 0.1
+    else:
+        assert theta.eq(0).all()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        *((name, 0, "a positive integer") for name in ("steps", "sources", "passes")),
+        *((name, 0.0, "a positive number") for name in ("eof_std", "tilt_std_deg", "water_depth_std_m")),
+        ("tilt_std_deg", float("nan"), "a positive number"),
+        ("false_alarm", 0.0, "a probability"),
+        ("false_alarm", 1.0, "a probability"),
+    ],
+)
+def test_settings_out_of_range(key, value, expected):
+    with pytest.raises(InputError, match=f"key 'calibration.{key}': found {value}, expected {expected}"):
+        CalibrationConfig(**{key: value})

@@ -1,0 +1,65 @@
+"""The scripts of `experiments/` run in this process, as the command line would."""
+
+import contextlib
+import importlib.util
+import io
+import logging
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from unittest import mock
+
+FOLDER = Path(__file__).parents[2] / "experiments"
+SMALL = (
+    "scenario.num_steps=5",
+    "tracker.slots=4",
+    "tracker.births=4",
+    "tracker.particles=100",
+    "tracker.rounds=2",
+    "tracker.round_size=32",
+)
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def load(name: str) -> ModuleType:
+    """One script as a module, not run."""
+    spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    return script
+
+
+def call(script: ModuleType, *arguments: str, terminal: bool = False) -> tuple[int, str, str]:
+    """Exit status, standard output and standard error of `script.main`."""
+    out, err = (Terminal(), Terminal()) if terminal else (io.StringIO(), io.StringIO())
+    status = 0
+    with (
+        same_logging(),
+        mock.patch.object(sys, "argv", [script.__file__, *arguments]),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        try:
+            script.main()
+        except SystemExit as end:
+            status = end.code
+    return status, out.getvalue(), err.getvalue()
+
+
+@contextlib.contextmanager
+def same_logging() -> Iterator[None]:
+    """Undo what Hydra does to the root logger."""
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    try:
+        yield
+    finally:
+        for handler in set(root.handlers) - set(handlers):
+            handler.close()
+        root.handlers[:] = handlers
+        root.setLevel(level)
