@@ -91,7 +91,8 @@ def test_finds_environment_and_positions(linear, family, scene, seed):
     torch.testing.assert_close(
         fitted.leftover, leftover_share(linear(fitted.theta)(fitted.position), active, scene.measurement)
     )
-    log_likelihood = -(3 * 21 * fitted.leftover.log()).sum()
+    # Three snapshots of 21 sensors, two sources.
+    log_likelihood = -(3 * (21 - 2) * fitted.leftover.log()).sum()
     log_prior = -0.5 * (fitted.theta / family.prior_std).square().sum()
     torch.testing.assert_close(fitted.log_posterior, log_likelihood + log_prior)
 

@@ -19,7 +19,7 @@ def numbers(text, row):
 def test_several_runs(history, score):
     text = printed(history, score, seconds=2.0, title="Two sources")
     assert "Two sources" in text
-    for word in ("declared", "true", "GOSPA", "localisation", "missed", "false", "log-likelihood"):
+    for word in ("declared", "true", "GOSPA", "localisation", "missed", "false", "log-lik."):
         assert word in text
     assert numbers(text, "0") == [1.0, 1.5, 51.0, 1.0, 50.0, 0.0, -9.0]
     assert numbers(text, "1") == [1.17, 1.5, 67.67, 1.0, 50.0, 16.67, -15.0]

@@ -1,9 +1,10 @@
 """Environment and source positions together, by maximum likelihood ("focalization").
 
 Each step and tone is explained as well as the responses of its sources allow, amplitudes free. With the
-noise variance profiled out the log-likelihood of J snapshots on M sensors is `-J M log rho`, where rho is
-the share of the energy that is left over. Sources share one environment over all steps and tones; that is
-what tells a wrong environment from a wrong position (Collins and Kuperman, J. Acoust. Soc. Am. 90, 1991).
+noise variance profiled out the log-likelihood of J snapshots on M sensors with N sources is
+`-J (M - N) log rho`, where rho is the share of the energy that is left over. Sources share one environment
+over all steps and tones; that is what tells a wrong environment from a wrong position (Collins and Kuperman,
+J. Acoust. Soc. Am. 90, 1991).
 """
 
 from collections.abc import Callable
@@ -26,7 +27,7 @@ class Focus(NamedTuple):
     Attributes:
         theta: `(T,)` float64 environment.
         position: `(S, N, d)` float64 source positions.
-        log_posterior: scalar, `-J M log rho` summed over steps and tones, plus the log prior of theta.
+        log_posterior: scalar, `-J (M - N) log rho` summed over steps and tones, plus the log prior of theta.
         leftover: `(S, I)` share rho of the energy left unexplained.
     """
 
@@ -81,7 +82,9 @@ def focalise(
         free_environment: fit theta too; else keep it and fit the positions only.
         iterations: at most, for each floor.
     """
-    weight = measurement.num_snapshots * measurement.present.sum(-1)
+    # Every source's free amplitude takes one dimension from the residual.
+    residual = (measurement.present.sum(-1) - active.sum(-1, keepdim=True)).clamp_min(1.0)
+    weight = measurement.num_snapshots * residual
     scaled_theta = (theta / prior_std).clone().requires_grad_(free_environment)
     shift = torch.zeros_like(position).requires_grad_()
     variables = [scaled_theta, shift] if free_environment else [shift]

@@ -32,7 +32,7 @@ def mismatch_share(
     ridge = 1e-6 * torch.eye(columns.shape[-1], dtype=columns.dtype, device=columns.device)
     amplitude = torch.linalg.solve(columns.mH @ columns + ridge, columns.mH @ measurement.factor)
     power = amplitude.abs().square().sum(-1) / measurement.num_snapshots.clamp_min(1.0)[..., None]
-    power = (power.transpose(-1, -2) * active[..., None])[..., None, None]
+    power = power.transpose(-1, -2)[..., None, None]
     coherent = (power * response[..., :, None] * response[..., None, :].conj()).sum(1)
     scattered = (power * field.incoherent(position)).sum(1)
     level = measurement.energy.mean(0) / measurement.factor.shape[-2]

@@ -177,7 +177,7 @@ def calibrated_field(
 
     num_eofs = len(eofs["functions"][0])
     family = WaveguideFamily(
-        solve, [config.eof_std] * num_eofs, config.tilt_std_deg, config.water_depth_std_m
+        solve, [config.eof_std] * num_eofs, config.tilt_std_deg, config.water_depth_std_m, settings.device
     )
     region = build_region(settings, torch.float64)
     prepared = prepare(recording, nominal, region, settings.tracker)
@@ -199,7 +199,7 @@ def calibrated_field(
             "sequence %d: environment departs from nominal by %s", run, found if theta.any() else "nothing"
         )
         log.info("sequence %d: unexplained share of each tone %s", run, share.tolist())
-        field = solve(draw_of(theta), settings.torch_dtype)
+        field = solve(draw_of(theta), settings.torch_dtype) if theta.any() else nominal
         fields.append(MismatchedField(field, share.to(settings.torch_dtype)))
     if any(field.share.any() for field in fields):
         return StackedDiffuseField(fields)

@@ -32,6 +32,7 @@ class WaveguideFamily:
         eof_std: prior standard deviations of the EOF coefficients.
         tilt_std_deg: of the tilt, degrees.
         water_depth_std_m: of the water depth, m.
+        device: of the parameters.
     """
 
     def __init__(
@@ -40,9 +41,12 @@ class WaveguideFamily:
         eof_std: Sequence[float],
         tilt_std_deg: float,
         water_depth_std_m: float,
+        device: torch.device | str = "cpu",
     ):
         self._solve = solve
-        self.prior_std = torch.tensor([*eof_std, tilt_std_deg, water_depth_std_m], dtype=torch.float64)
+        self.prior_std = torch.tensor(
+            [*eof_std, tilt_std_deg, water_depth_std_m], dtype=torch.float64, device=device
+        )
 
     def solve(self, theta: Tensor) -> NormalModeField:
         """Exact field of parameters `(E + 2,)`."""
@@ -55,7 +59,8 @@ class WaveguideFamily:
             theta0: `(E + 2,)` float64.
 
         Returns:
-            A function from theta to the field: exact in the tilt, of first order in all else.
+            A function from theta to the field: exact in the tilt, of first order in all else. Modes that only
+            some neighbouring environments have, at the edge of the phase speeds kept, are left out.
         """
         centre = self.solve(theta0)
         modal = [j for j in range(len(theta0)) if j != len(theta0) - 2]

@@ -25,12 +25,12 @@ def print_summary(
     """
     num_runs, num_steps = history.log_evidence.shape
     columns = {"declared": history.declared.sum(-1).double().mean(-1)}
-    formats = {"declared": ".2f", "log-likelihood": ".1f"}
+    formats = {"declared": ".2f", "log-lik.": ".1f"}
     if gospa is not None:
         columns |= {"true": gospa.num_truth.double().mean(-1)}
         columns |= {"GOSPA": gospa.total.mean(-1), "localisation": gospa.localisation.mean(-1)}
         columns |= {"missed": gospa.missed.mean(-1), "false": gospa.false.mean(-1)}
-    columns |= {"log-likelihood": history.log_evidence.double().sum(-1)}
+    columns |= {"log-lik.": history.log_evidence.double().sum(-1)}
 
     speed = f"{num_runs * num_steps / seconds:.3g} steps/s" if seconds > 0 else "speed unknown"
     runs = "1 run" if num_runs == 1 else f"{num_runs} runs"
