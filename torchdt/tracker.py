@@ -1,15 +1,14 @@
 """The direct tracker: predict, adapt, birth, update, prune, estimate."""
 
 import math
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
 from torchdt.bp.evidence import gaussian_evidence
 from torchdt.bp.moments import signal_covariance
-from torchdt.bp.schedule import Beliefs, initial_beliefs, select, strongest_first, take, update
+from torchdt.bp.schedule import Beliefs, initial_beliefs, select, update
 from torchdt.config import TrackerConfig
 from torchdt.detect.dictionary import build_dictionary
 from torchdt.field.base import Field
@@ -24,6 +23,7 @@ from torchdt.particles.weights import effective_sample_size
 from torchdt.proposal.moved import Draws, diffuse_part, propose_adapted, respond
 from torchdt.proposal.newborn import Picks, propose_newborn, search
 from torchdt.random import RandomStreams
+from torchdt.slots import Placed, fit_slots, join, join_beliefs, strongest_slots, take_slots
 from torchdt.state import Noise, Objects, TrackerState, weighted_mean
 
 
@@ -163,7 +163,7 @@ class DirectTracker:
         measurement: Measurement,
         draws: Draws,
         found: Tensor | None = None,
-    ) -> "Placed":
+    ) -> Placed:
         """First sweep over the known objects, so that new ones are looked for in what these leave."""
         cfg = self.config
         if cfg.proposal == "adapted":
@@ -177,8 +177,8 @@ class DirectTracker:
         return Placed(known, response, first)
 
     def _add_newborn(
-        self, known: "Placed", picks: Picks, measurement: Measurement, priors: Priors, draws: Draws
-    ) -> "Placed":
+        self, known: Placed, picks: Picks, measurement: Measurement, priors: Priors, draws: Draws
+    ) -> Placed:
         """Known and new objects together."""
         cfg, dim = self.config, picks.active.ndim - 1
         signal = signal_covariance(known.beliefs.strength, known.beliefs.moment)
@@ -199,9 +199,9 @@ class DirectTracker:
             power=picks.power
         )
         return Placed(
-            Objects(*_join(known.objects, new, dim)),
+            Objects(*join(known.objects, new, dim)),
             torch.cat([known.response, response], dim),
-            _join_beliefs(known.beliefs, newborn),
+            join_beliefs(known.beliefs, newborn),
         )
 
     def _predict(self, state: TrackerState, streams: RandomStreams) -> Objects:
@@ -214,7 +214,7 @@ class DirectTracker:
         log_odds = predict_log_odds(old.log_odds, cfg.survival)
         objects = Objects(moved, old.log_weight, power, log_power_weight, log_odds, old.label)
         occupied = max(1, int(log_odds.isfinite().sum(-1).max()))
-        return _select(objects, strongest_first(_strength(objects))[..., :occupied])
+        return take_slots(objects, strongest_slots(objects)[..., :occupied])
 
     def _draws(self, streams: RandomStreams) -> tuple[Draws, Draws, Tensor]:
         """Random numbers of the proposals, always as many, whatever the other sequences of the batch need."""
@@ -241,7 +241,7 @@ class DirectTracker:
             log_power_weight=beliefs.objects.log_power_weight,
             log_odds=log_odds,
         )
-        objects = self._to_slots(objects, old.objects)
+        objects = fit_slots(objects, old.objects)
         declared = objects.existence > cfg.declare
         fresh = declared & (objects.label == 0)
         label = torch.where(fresh, old.next_label[..., None] + fresh.cumsum(-1) - 1, objects.label)
@@ -262,19 +262,8 @@ class DirectTracker:
         state = TrackerState(self._resample(objects, size, streams), noise, old.next_label + fresh.sum(-1))
         return state, estimate
 
-    def _to_slots(self, objects: Objects, empty: Objects) -> Objects:
-        """Sort by strength into the fixed number of slots."""
-        missing = self.config.slots - objects.log_odds.shape[-1]
-        if missing > 0:
-            blank = empty._replace(log_odds=torch.full_like(empty.log_odds, -torch.inf))
-            blank = blank._replace(label=torch.zeros_like(empty.label))
-            filler = _select(
-                blank, torch.arange(missing, device=empty.label.device).expand(*empty.label.shape[:-1], -1)
-            )
-            objects = Objects(*_join(objects, filler, objects.log_odds.ndim - 1))
-        return _select(objects, strongest_first(_strength(objects))[..., : self.config.slots])
-
     def _resample(self, objects: Objects, size: Tensor, streams: RandomStreams) -> Objects:
+        """Equal weights where too few particles carry them; idle particles in empty slots."""
         cfg = self.config
         offset = streams.uniform(cfg.slots)
         draws = streams.normal(*objects.state.shape[-3:])
@@ -290,48 +279,3 @@ class DirectTracker:
             state=torch.where(empty[..., None, None], self._idle, state),
             log_weight=torch.where(empty[..., None], even, log_weight),
         )
-
-
-class Placed(NamedTuple):
-    """Objects with the particles on which this step's messages are computed.
-
-    Attributes:
-        objects: of batch `(*batch, N)`, predicted weights.
-        response: `(*batch, N, I, P, M)` complex.
-        beliefs: current beliefs.
-    """
-
-    objects: Objects
-    response: Tensor
-    beliefs: Beliefs
-
-
-def _strength(objects: Objects) -> Tensor:
-    """`r E[gamma]`, minus infinity for empty slots so that they sort last."""
-    strength = objects.existence[..., None] * objects.mean_power
-    return torch.where(objects.log_odds.isfinite()[..., None], strength, -torch.inf)
-
-
-def _select(objects: Objects, index: Tensor) -> Objects:
-    """Objects at `(*batch, N')` slot indices of `(*batch, N)`."""
-    dim = index.ndim - 1
-    parts = (torch.stack([take(t, i) for i in index.unbind(-1)], dim) for t in objects)
-    return Objects(*parts)
-
-
-def _join(first: Sequence[Tensor], second: Sequence[Tensor], dim: int) -> list[Tensor]:
-    """Concatenate tuples of tensors field by field."""
-    return [torch.cat([a, b], dim) for a, b in zip(first, second, strict=True)]
-
-
-def _join_beliefs(known: Beliefs, new: Beliefs) -> Beliefs:
-    dim = known.objects.log_odds.ndim - 1
-    parts = (known.diffuse, new.diffuse)
-    diffuse = [part for part in parts if part is not None]
-    return known._replace(
-        objects=type(known.objects)(*_join(known.objects, new.objects, dim)),
-        moment=torch.cat([known.moment, new.moment], dim),
-        strength=torch.cat([known.strength, new.strength], dim),
-        power=torch.cat([known.power, new.power], dim),
-        diffuse=torch.cat(diffuse, dim) if diffuse else None,
-    )
