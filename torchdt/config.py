@@ -3,10 +3,14 @@
 import math
 from dataclasses import dataclass
 
+from torch import Tensor
+
 from torchdt.errors import require
+from torchdt.particles.transition import GRADIENTS
 
 SCHEDULES = ("sequential", "flooding")
 PROPOSALS = ("adapted", "prior")
+EVIDENCES = ("sampled", "gaussian")
 
 
 @dataclass
@@ -31,8 +35,16 @@ class TrackerConfig:
         rounds: rounds of fitting a proposal, at most.
         round_size: sample size of each round.
         roughening: kernel width after resampling, in standard deviations of the particle set.
-        resample_below: resample where the effective sample size is below this share of the particles.
+        resample_below: resample where the effective sample size is below this share of the particles. Adapted
+            proposals draw new particles in every step and need neither.
         likelihood_power: power to which the likelihood is raised; below 1 the snapshots count as fewer.
+        driving_variance: variance of each coordinate's driving noise; None takes the region's.
+        mismatch_share: share of each tone's energy that responses do not cover, where the field knows how its
+            response scatters; None leaves it to the calibration.
+        evidence: log p(z_k | z_1..k-1) by importance sampling (`sampled`), or `gaussian`: cheap and crude.
+        evidence_samples: joint configurations drawn for the sampled evidence.
+        gradient: of the likelihood through motion: `score` (particles stay, weights move with the parameters)
+            or `reparameterised` (particles move).
         power_max: upper limit of the uniform power prior in squared data units; None takes it from the data.
         noise_max: upper limit of the uniform noise prior in squared data units; None takes it from the data.
     """
@@ -56,6 +68,11 @@ class TrackerConfig:
     roughening: float = 0.1
     resample_below: float = 0.5
     likelihood_power: float = 1.0
+    driving_variance: list[float] | None = None
+    mismatch_share: list[float] | None = None
+    evidence: str = "sampled"
+    evidence_samples: int = 64
+    gradient: str = "score"
     power_max: float | None = None
     noise_max: float | None = None
 
@@ -69,6 +86,7 @@ class TrackerConfig:
             "sweeps",
             "rounds",
             "round_size",
+            "evidence_samples",
         )
         for name in positive:
             self._require(name, getattr(self, name) >= 1, "a positive integer")
@@ -82,16 +100,25 @@ class TrackerConfig:
         for name in ("roughening", "resample_below"):
             self._require(name, 0 <= getattr(self, name) <= 1, "a number from 0 to 1")
         self._require("likelihood_power", 0 < self.likelihood_power <= 1, "a number above 0, up to 1")
+        for name in ("driving_variance", "mismatch_share"):
+            self._check_list(name, 1.0 if name == "mismatch_share" else math.inf)
+        self._require("evidence", self.evidence in EVIDENCES, " or ".join(EVIDENCES))
+        self._require("gradient", self.gradient in GRADIENTS, " or ".join(GRADIENTS))
         self._require("proposal", self.proposal in PROPOSALS, " or ".join(PROPOSALS))
         self._require("schedule", self.schedule in SCHEDULES, " or ".join(SCHEDULES))
 
     def _require(self, name: str, holds: bool, expected: str) -> None:
         require(holds, f"tracker.{name}", getattr(self, name), expected)
 
-    def birth_log_odds(self, num_cells: int) -> float:
-        """Log-odds of a new object in one of the region's cells: `p = mu / (mu + 1)`, so `log mu`."""
-        return math.log(self.birth_mean / num_cells)
+    def _check_list(self, name: str, below: float) -> None:
+        values = getattr(self, name)
+        holds = values is None or (len(values) > 0 and all(0 < v < below for v in values))
+        self._require(name, holds, f"positive numbers below {below}, or null")
 
-    def pick_threshold(self, num_cells: int) -> float:
-        """Log-likelihood ratio that can just lift a new object over the pruning threshold."""
-        return math.log(self.prune / (1 - self.prune)) - self.birth_log_odds(num_cells)
+    def pick_threshold(self, birth_log_odds: Tensor) -> Tensor:
+        """Log-likelihood ratio that can just lift a new object over the pruning threshold.
+
+        Args:
+            birth_log_odds: of a new object in one cell, `(*batch,)`.
+        """
+        return math.log(self.prune / (1 - self.prune)) - birth_log_odds

@@ -43,6 +43,22 @@ class RandomStreams:
         generators = [Generator(device=device).manual_seed(int(seed)) for seed in seeds]
         return cls(generators, batch_shape, dtype)
 
+    def snapshot(self) -> list[Tensor]:
+        """States of the generators, for `at`."""
+        return [g.get_state() for g in self.generators]
+
+    def at(self, snapshot: Sequence[Tensor]) -> "RandomStreams":
+        """Streams of their own that go on from a snapshot of these."""
+        generators = [Generator(device=g.device) for g in self.generators]
+        for generator, state in zip(generators, snapshot, strict=True):
+            generator.set_state(state)
+        return RandomStreams(generators, self.batch_shape, self.dtype)
+
+    def skip_to(self, snapshot: Sequence[Tensor]) -> None:
+        """Go on from a snapshot of these streams or of a copy made by `at`."""
+        for generator, state in zip(self.generators, snapshot, strict=True):
+            generator.set_state(state)
+
     def normal(self, *shape: int) -> Tensor:
         """Standard normal draws, `(*batch, *shape)`."""
         return self._draw(torch.randn, shape)

@@ -110,7 +110,7 @@ def track(
     measurement = prepared.measurement
     # The density of complex data z = unit * z' is that of z' over unit^2 for every complex entry.
     entries = (measurement.num_snapshots * measurement.present.sum(-1)).sum(-1)
-    jacobian = 2 * tracker.config.likelihood_power * entries.double() * unit.log()[:, None]
+    jacobian = 2 * entries.double() * unit.log()[:, None]
     return history._replace(
         power=history.power * square[:, None, None, None],
         noise=history.noise * square[:, None, None],

@@ -130,6 +130,28 @@ def test_gradients_in_the_response():
     assert torch.autograd.gradcheck(lambda a: statistics(whitener, a), (response,))
 
 
+def test_gradients_in_the_background():
+    """Hermitian by construction, as the sum of a real parameterisation."""
+    _, snapshots, response, power = scene()
+    measurement = from_snapshots(snapshots)
+    rng = torch.Generator().manual_seed(4)
+    root = torch.randn(TONES, SENSORS, SENSORS, 2, generator=rng, dtype=torch.float64, requires_grad=True)
+    noise = torch.tensor([0.3, 0.8], dtype=torch.float64, requires_grad=True)
+
+    def background(root, noise):
+        factor = torch.view_as_complex(root)
+        return factor @ factor.mH / SENSORS + noise[:, None, None] * torch.eye(SENSORS)
+
+    def quadratic_forms(root, noise):
+        return statistics(whiten(measurement, background(root, noise)), response)
+
+    def ratio(root, noise):
+        return ratio_of(measurement, background(root, noise), response, power[::3])
+
+    assert torch.autograd.gradcheck(quadratic_forms, (root, noise))
+    assert torch.autograd.gradcheck(ratio, (root, noise))
+
+
 def test_an_indefinite_background_is_named():
     background, snapshots, _, _ = scene()
     background[1] -= 50 * torch.eye(SENSORS)

@@ -17,7 +17,7 @@ def test_prediction_equals_the_matrices():
     expected = torch.einsum("ij,...j->...i", F, state) + torch.einsum(
         "ij,...j->...i", W, driving * variance.sqrt()
     )
-    torch.testing.assert_close(predict_state(state, driving, T, variance), expected)
+    torch.testing.assert_close(predict_state(state, driving * variance.sqrt(), T), expected)
 
 
 def test_existence_equals_the_product_of_probabilities():

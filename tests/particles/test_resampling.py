@@ -1,7 +1,14 @@
+import math
+
 import pytest
 import torch
 
-from torchdt.particles.resampling import roughen, scale_tril, systematic_indices
+from torchdt.particles.resampling import (
+    roughen,
+    scale_tril,
+    stop_gradient_weights,
+    systematic_indices,
+)
 from torchdt.particles.weights import mean_and_covariance
 
 
@@ -55,6 +62,36 @@ def test_particles_of_zero_weight_are_never_drawn(particles):
 def test_no_gradient_through_the_ancestors():
     log_weight = random_weight(1, 5).log().requires_grad_()
     assert not systematic_indices(log_weight, torch.tensor(0.2)).requires_grad
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_weights_after_resampling_are_even(dtype):
+    log_weight = random_weight(5, 2, 3, 8).log().to(dtype).requires_grad_()
+    found = stop_gradient_weights(
+        log_weight, systematic_indices(log_weight, torch.full((2, 3), 0.4).to(dtype))
+    )
+    torch.testing.assert_close(found, torch.full((2, 3, 8), -math.log(8), dtype=dtype), rtol=0, atol=0)
+
+
+def test_each_weight_after_resampling_has_the_gradient_of_its_ancestor():
+    log_weight = random_weight(6, 2, 4).log().requires_grad_()
+    ancestors = torch.tensor([[0, 0, 1, 3], [2, 2, 2, 3]])
+    (found,) = torch.autograd.grad(stop_gradient_weights(log_weight, ancestors).sum(), log_weight)
+    assert found.tolist() == [[2, 1, 0, 1], [0, 0, 3, 1]]
+
+
+def test_weights_after_resampling_keep_the_gradient_of_expectations():
+    """Of the expectation of a function, averaged over a fine grid of offsets: no chance is involved."""
+    raw = torch.randn(30, generator=torch.Generator().manual_seed(7), dtype=torch.float64).requires_grad_()
+    values = torch.linspace(-1, 3, 30, dtype=torch.float64).square()
+    offset = (torch.arange(20000, dtype=torch.float64) + 0.5) / 20000
+    log_weight = raw.log_softmax(-1)
+    ancestors = systematic_indices(log_weight.expand(20000, -1), offset)
+    even = stop_gradient_weights(log_weight.expand(20000, -1), ancestors)
+    resampled = (even.exp() * values[ancestors]).sum(-1).mean()
+    (found,) = torch.autograd.grad(resampled, raw, retain_graph=True)
+    (expected,) = torch.autograd.grad((log_weight.exp() * values).sum(), raw)
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-3 * expected.abs().max().item())
 
 
 def test_roughening_keeps_mean_and_covariance():

@@ -54,7 +54,8 @@ def propose(objects: Objects, noise: Noise, measurement: Measurement):
     beliefs = initial_beliefs(objects, respond(FIELD, objects.state), noise)
     streams = RandomStreams.from_seeds(range(runs), (runs,), F64)
     draws = Draws(streams.normal(1, 4, 128, 1), streams.normal(1, PARTICLES, 2))
-    return propose_adapted(FIELD, REGION, objects, beliefs, batched, draws)
+    moments = mean_and_covariance(objects.state, objects.log_weight)
+    return propose_adapted(FIELD, REGION, objects, moments, beliefs, batched, draws)
 
 
 def quadrature(measurement: Measurement, mean: float, deviation: float):

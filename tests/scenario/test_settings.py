@@ -1,13 +1,16 @@
 import math
 
 import pytest
+from hydra import compose, initialize_config_module
 
 from torchdt.config import TrackerConfig
 from torchdt.errors import InputError
+from torchdt.experiment.settings import settings_of
 from torchdt.scenario.settings import (
     CoordinateSettings,
     MismatchSettings,
     PathSettings,
+    PopulationSettings,
     ScenarioSettings,
     SourceSettings,
 )
@@ -90,6 +93,48 @@ def test_a_source_needs_a_known_path():
         "north",
         "one of ['east', 'west']",
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("birth_mean", -0.1, "a number from 0 up"),
+        ("birth_mean", math.inf, "a number from 0 up"),
+        ("survival", 1.5, "a probability"),
+        ("survival", math.nan, "a probability"),
+        *((name, 0.0, "a positive number") for name in ("power_shape", "noise_shape")),
+        *((name, math.inf, "a positive number") for name in ("power_shape", "noise_shape")),
+        *(
+            ("power_db", value, "[lowest, highest], finite numbers")
+            for value in ([1.0], [3.0, -3.0], [-math.inf, 0.0], ["a", "b"])
+        ),
+        ("max_objects", 0, "a positive integer or null"),
+    ],
+)
+def test_population(name, value, expected):
+    refuse(lambda: PopulationSettings(**{name: value}), f"scenario.population.{name}", value, expected)
+
+
+def test_either_a_population_or_sources():
+    paths, sources = {"p": PathSettings()}, {"b": SourceSettings("p"), "a": SourceSettings("p")}
+    refuse(
+        lambda: ScenarioSettings(paths=paths, sources=sources, population=PopulationSettings()),
+        "scenario.sources",
+        ["a", "b"],
+        "none beside scenario.population",
+    )
+    assert ScenarioSettings(population=PopulationSettings()).sources == {}
+
+
+def test_a_scenario_file_may_hold_a_population():
+    with initialize_config_module("torchdt.conf", version_base="1.3"):
+        composed = compose(
+            "track", overrides=["scenario=line_array_model", "scenario.population.survival=0.9"]
+        )
+        plain = compose("track", overrides=["scenario=line_array_model", "scenario.population=null"])
+    population = settings_of(composed).scenario.population
+    assert population == PopulationSettings(0.05, 0.9, 50.0, 20.0, [-3.0, 3.0], 4)
+    assert settings_of(plain).scenario.population is None
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def calibrate(
     measurement: Measurement,
     priors: Priors,
     config: CalibrationConfig,
-    pick_threshold: float,
+    pick_threshold: Tensor,
     stream: Generator,
 ) -> Calibration:
     """Fit the environment of one recording.
@@ -135,7 +135,7 @@ def _detect(
     measurement: Measurement,
     priors: Priors,
     config: CalibrationConfig,
-    pick_threshold: float,
+    pick_threshold: Tensor,
     stream: Generator,
 ) -> Picks | None:
     """Sources of each step by matching pursuit."""

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from hydra.utils import instantiate
 from torch import Generator, Tensor
+from torch.nn.functional import pad
 
 from torchdt.calibration.environment import calibrate
 from torchdt.errors import InputError, require
@@ -17,9 +18,12 @@ from torchdt.field.family import WaveguideFamily, draw_of
 from torchdt.field.mismatch import MismatchedField
 from torchdt.field.stacked import StackedDiffuseField, StackedField
 from torchdt.field.waveguide import NormalModeField
+from torchdt.model.birth import birth_log_odds
 from torchdt.model.measurement import Measurement
+from torchdt.model.parameters import default_parameters
 from torchdt.model.prior import Priors
 from torchdt.model.region import Coordinate, Region
+from torchdt.scenario.generate import generate_snapshots
 from torchdt.scenario.npz import read_npz
 from torchdt.scenario.recording import Recording, validate
 from torchdt.scenario.settings import MismatchSettings
@@ -73,10 +77,14 @@ def build_recording(settings: TrackSettings) -> Recording:
 
 
 def simulate(settings: TrackSettings) -> Recording:
-    """Simulate `runs` sequences; sequence b depends on `seed + b` alone."""
+    """Simulate `runs` sequences; sequence b depends on `seed + b` alone.
+
+    Sequences of fewer sources than others have their truth filled up with absent ones.
+    """
     scenario, target = settings.scenario, settings.field
     num_coordinates = build_field(target, torch.float64, "cpu").num_coordinates
     check_coordinates(settings, num_coordinates)
+    region = Region(build_region(settings, torch.float64).coordinates, torch.float64)
     snapshots, truth = [], []
     nominal = None if not scenario.mismatch.matched else build_field(target, torch.float64, "cpu")
     for seed in range(settings.seed, settings.seed + settings.runs):
@@ -84,11 +92,19 @@ def simulate(settings: TrackSettings) -> Recording:
         field = nominal or build_field(
             target, torch.float64, "cpu", draw=draw_environment(scenario.mismatch, target, stream)
         )
-        z, position = simulate_snapshots(field, scenario, stream)
+        if scenario.population is None:
+            z, position = simulate_snapshots(field, scenario, stream)
+        else:
+            z, position = generate_snapshots(field, region, scenario, scenario.population, stream)
         snapshots.append(z)
         truth.append(position)
+    most = max(position.shape[1] for position in truth)
+    padded = [pad(position, (0, 0, 0, most - position.shape[1]), value=torch.nan) for position in truth]
     return validate(
-        snapshots=torch.stack(snapshots), truth=torch.stack(truth), step_s=scenario.step_s, name=scenario.name
+        snapshots=torch.stack(snapshots),
+        truth=torch.stack(padded),
+        step_s=scenario.step_s,
+        name=scenario.name,
     )
 
 
@@ -181,7 +197,8 @@ def calibrated_field(
     )
     region = build_region(settings, torch.float64)
     prepared = prepare(recording, nominal, region, settings.tracker)
-    threshold = settings.tracker.pick_threshold(region.num_cells)
+    birth_mean = default_parameters(settings.tracker, region).birth_mean
+    threshold = settings.tracker.pick_threshold(birth_log_odds(birth_mean, region.num_cells))
     names = [f"EOF {i + 1}" for i in range(num_eofs)] + ["tilt (deg)", "water depth (m)"]
     fields = []
     for run in range(recording.batch_size):

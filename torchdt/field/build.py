@@ -5,12 +5,13 @@ recording that brings its own `freqs`, `element_depths` or `sensor_positions` re
 group by these names.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
 
-from torchdt.errors import InputError
+from torchdt.errors import InputError, require
 from torchdt.field.environment import Environment, HalfSpace, Layer, combine_eofs
 from torchdt.field.plane_wave import LineArrayField
 from torchdt.field.waveguide import NormalModeField
@@ -30,6 +31,29 @@ class EnvironmentDraw(NamedTuple):
     water_depth_m: float = 0.0
 
 
+def as_draw(draw: EnvironmentDraw | Mapping[str, Any] | None) -> EnvironmentDraw | None:
+    """A departure, also from the values of a configuration, which may leave some out.
+
+    Raises:
+        InputError: where a name is unknown, or a value is not finite numbers.
+    """
+    if draw is None or isinstance(draw, EnvironmentDraw):
+        return draw
+    names = EnvironmentDraw._fields
+    require(isinstance(draw, Mapping), "field.draw", draw, f"some of {names} by name")
+    for name, value in draw.items():
+        key, vector = f"field.draw.{name}", name == "eof_coefficients"
+        require(name in names, key, "an unknown key", f"one of {names}")
+        entries = value if vector else [value]
+        holds = isinstance(entries, list | tuple) and all(map(_is_finite, entries))
+        require(holds, key, value, "a list of finite numbers" if vector else "a finite number")
+    return EnvironmentDraw(**{**draw, "eof_coefficients": tuple(draw.get("eof_coefficients", ()))})
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)
+
+
 def waveguide(
     *,
     profile: Sequence[Sequence[float]],
@@ -41,7 +65,7 @@ def waveguide(
     normalize: bool = True,
     max_phase_speed: float = 1750.0,
     eofs: Mapping[str, Any] | None = None,
-    draw: EnvironmentDraw | None = None,
+    draw: EnvironmentDraw | Mapping[str, Any] | None = None,
     dtype: torch.dtype | None = None,
     device: torch.device | str | None = None,
 ) -> NormalModeField:
@@ -57,12 +81,15 @@ def waveguide(
         normalize: give each tone's response unit norm.
         max_phase_speed: of the modes kept, m/s.
         eofs: sound-speed statistics, `depths` (Z,) m and `functions` (Z, E) m/s; needed for a draw only.
-        draw: departure from this environment.
+        draw: departure from this environment, or its values by name.
         dtype, device: of the field.
 
     Raises:
         InputError: where the environment or the array does not make sense.
     """
+    draw = as_draw(draw)
+    if draw is not None and draw.eof_coefficients:
+        require(eofs is not None, "field.eofs", "nothing", "sound-speed EOFs, which field.draw refers to")
     try:
         environment = Environment(
             tuple((float(z), float(c)) for z, c in profile),

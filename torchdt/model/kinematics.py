@@ -7,7 +7,7 @@ from torch.nn.functional import logsigmoid
 from torchdt.model.region import Region
 
 
-def predict_state(state: Tensor, driving: Tensor, step_s: float, driving_variance: Tensor) -> Tensor:
+def predict_state(state: Tensor, driving: Tensor, step_s: float) -> Tensor:
     """Move particles by the constant-rate model `x' = F x + W q`.
 
     Per coordinate `F = [[1, T], [0, 1]]`, `W = [T^2 / 2, T]^T` and `q ~ N(0, driving_variance)`
@@ -15,16 +15,34 @@ def predict_state(state: Tensor, driving: Tensor, step_s: float, driving_varianc
 
     Args:
         state: `(*batch, 2 d)` positions, then rates.
-        driving: `(*batch, d)` standard normal draws.
+        driving: `(*batch, d)` driving noise q, unit / s^2.
         step_s: time step T in seconds.
-        driving_variance: `(d,)` variance of q.
 
     Returns:
         `(*batch, 2 d)`.
     """
     position, rate = state.chunk(2, dim=-1)
-    q = driving * driving_variance.sqrt()
-    return torch.cat([position + step_s * rate + 0.5 * step_s**2 * q, rate + step_s * q], dim=-1)
+    return torch.cat(
+        [position + step_s * rate + 0.5 * step_s**2 * driving, rate + step_s * driving], dim=-1
+    )
+
+
+def predict_moments(
+    mean: Tensor, covariance: Tensor, step_s: float, driving_variance: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Mean and covariance after one step of the constant-rate model: `F m` and `F C F^T + W Q W^T`.
+
+    Args:
+        mean: `(*batch, 2 d)`.
+        covariance: `(*batch, 2 d, 2 d)`.
+        step_s: time step T in seconds.
+        driving_variance: `(*batch, d)` diagonal of Q, (unit / s^2)^2.
+    """
+    d = mean.shape[-1] // 2
+    eye = torch.eye(d, dtype=mean.dtype, device=mean.device)
+    F = torch.cat([torch.cat([eye, step_s * eye], 1), torch.cat([torch.zeros_like(eye), eye], 1)], 0)
+    W = torch.cat([0.5 * step_s**2 * eye, step_s * eye], 0)
+    return mean @ F.mT, F @ covariance @ F.mT + (W * driving_variance[..., None, :]) @ W.mT
 
 
 def predict_log_odds(log_odds: Tensor, survival: Tensor | float) -> Tensor:

@@ -44,10 +44,14 @@ class Gaussian(NamedTuple):
         """Map standard normal draws `(*batch, P, d)` to samples."""
         return self.mean[..., None, :] + draws @ self.tril.mT
 
+    def whiten(self, points: Tensor) -> Tensor:
+        """The standard normal draws `(*batch, P, d)` of which points are the samples."""
+        centred = points - self.mean[..., None, :]
+        return torch.linalg.solve_triangular(self.tril.mT, centred, upper=True, left=False)
+
     def log_prob(self, points: Tensor) -> Tensor:
         """Log-density, `(*batch, P)`."""
-        centred = points - self.mean[..., None, :]
-        white = torch.linalg.solve_triangular(self.tril.mT, centred, upper=True, left=False)
+        white = self.whiten(points)
         log_det = self.tril.diagonal(dim1=-2, dim2=-1).log().sum(-1)[..., None]
         return -0.5 * white.square().sum(-1) - log_det - 0.5 * points.shape[-1] * math.log(2 * math.pi)
 

@@ -1,5 +1,7 @@
 """Systematic resampling and roughening."""
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -18,13 +20,44 @@ def systematic_indices(log_weight: Tensor, offset: Tensor) -> Tensor:
         `(*batch, P)` int64, non-decreasing; index p occurs `floor(P w_p)` or `ceil(P w_p)` times.
     """
     num = log_weight.shape[-1]
+    points = (torch.arange(num, dtype=log_weight.dtype, device=log_weight.device) + offset[..., None]) / num
+    return invert_cumulative(log_weight, points)
+
+
+def invert_cumulative(log_weight: Tensor, points: Tensor) -> Tensor:
+    """Indices at which the cumulative weights reach given levels; uniform levels draw from the weights.
+
+    Args:
+        log_weight: `(*batch, P)` normalised.
+        points: `(*batch, S)` levels in [0, 1].
+
+    Returns:
+        `(*batch, S)` int64.
+    """
+    num = log_weight.shape[-1]
     cumulative = log_weight.detach().exp().cumsum(-1)
     # Rounding may leave the last sum beside one: rescale so that every point falls into an interval.
     cumulative = cumulative / cumulative[..., -1:]
-    points = (torch.arange(num, dtype=log_weight.dtype, device=log_weight.device) + offset[..., None]) / num
     # A point may round to one, beyond every interval: it belongs to the last particle that has a weight.
     last = (cumulative < 1).sum(-1, keepdim=True).clamp_max(num - 1)
-    return torch.minimum(torch.searchsorted(cumulative, points, right=True), last)
+    return torch.minimum(torch.searchsorted(cumulative, points.contiguous(), right=True), last)
+
+
+def stop_gradient_weights(log_weight: Tensor, ancestors: Tensor) -> Tensor:
+    """Even log-weights after resampling that keep the gradient of the former weights.
+
+    `log w' = -log P + log w[a] - sg(log w[a])`, sg stopping the gradient: `-log P` in value. A filter whose
+    weights are cut off here instead has a biased score (Scibior and Wood 2021).
+
+    Args:
+        log_weight: `(*batch, P)` normalised.
+        ancestors: `(*batch, P)` int64, of positive weight.
+
+    Returns:
+        `(*batch, P)`.
+    """
+    chosen = log_weight.gather(-1, ancestors)
+    return chosen - chosen.detach() - math.log(ancestors.shape[-1])
 
 
 def roughen(points: Tensor, log_weight: Tensor, draws: Tensor, bandwidth: float) -> Tensor:

@@ -18,7 +18,6 @@ from torchdt.model.measurement import Measurement
 from torchdt.model.region import Region
 from torchdt.particles.adaptive import Gaussian, adapt
 from torchdt.particles.resampling import scale_tril
-from torchdt.particles.weights import mean_and_covariance
 from torchdt.state import Objects, weighted_mean
 
 
@@ -32,6 +31,22 @@ class Draws(NamedTuple):
 
     rounds: Tensor
     final: Tensor
+
+
+class Adapted(NamedTuple):
+    """Drawn particles; constants to any gradient.
+
+    Attributes:
+        state: `(*batch, P, D)`.
+        white: `(*batch, P, D)` the standard normal draws that the prediction maps to them.
+        log_prior: `(*batch, P)` log-density of the prediction there.
+        log_proposal: `(*batch, P)` log-density they were drawn with.
+    """
+
+    state: Tensor
+    white: Tensor
+    log_prior: Tensor
+    log_proposal: Tensor
 
 
 def respond(field: Field, state: Tensor) -> Tensor:
@@ -50,30 +65,36 @@ def propose_adapted(
     field: Field,
     region: Region,
     predicted: Objects,
+    moments: tuple[Tensor, Tensor],
     beliefs: Beliefs,
     measurement: Measurement,
     draws: Draws,
     found: Tensor | None = None,
+    *,
+    gradient: str = "score",
 ) -> tuple[Objects, Tensor, Beliefs]:
     """Redraw the particles of every object where prediction and likelihood meet.
 
-    The predicted particles of an object enter through their mean and covariance. Positions come from a
-    proposal fitted to `N(position) * likelihood`, rates from the predicted Gaussian given the position,
-    and the weight is `N(position) / proposal(position)`: the likelihood is not part of it. Objects are
-    visited in slot order, each against the newest beliefs of the others.
+    The prediction of an object enters through its mean and covariance. Positions come from a proposal fitted
+    to `N(position) * likelihood`, rates from the predicted Gaussian given the position, and the weight is
+    `N(position) / proposal(position)`: the likelihood is not part of it. Objects are visited in slot order,
+    each against the newest beliefs of the others.
 
     Args:
         predicted: objects, batch `(*batch, N)`, strongest first.
+        moments: mean `(*batch, N, D)` and covariance `(*batch, N, D, D)` of their predicted states.
         beliefs: predicted beliefs of the same objects.
         measurement: statistics of the step.
         draws: random numbers.
         found: `(*batch, I, M, M)` covariance of signals that are no objects yet.
+        gradient: how the particles depend on the prediction: `score` keeps them and moves their weights,
+            `reparameterised` moves them.
 
     Returns:
         The objects with new particles; their responses `(*batch, N, I, P, M)`; beliefs after this first
         sequential sweep.
     """
-    mean, covariance = mean_and_covariance(predicted.state, predicted.log_weight)
+    mean, covariance = moments
     states, log_weights, responses = [], [], []
     num_objects = predicted.log_odds.shape[-1]
     for slot in range(num_objects):
@@ -85,13 +106,13 @@ def propose_adapted(
         def log_likelihood(position: Tensor) -> Tensor:
             return state_message(whitener, respond(field, position), power, slot_prior.log_power_weight)  # noqa: B023
 
-        state, log_weight = _draw(
-            log_likelihood,
-            take(mean, index),
-            take(covariance, index),
-            take(draws.rounds, index),
-            take(draws.final, index),
-        )
+        prediction = Gaussian(take(mean, index), scale_tril(take(covariance, index)))
+        drawn = draw_adapted(log_likelihood, prediction, take(draws.rounds, index), take(draws.final, index))
+        if gradient == "reparameterised":
+            state, log_prior = prediction.sample(drawn.white), drawn.log_prior
+        else:
+            state, log_prior = drawn.state, prediction.log_prob(drawn.state)
+        log_weight = log_prior - drawn.log_proposal - math.log(state.shape[-2])
         log_weight = drop_outside(state, log_weight, region)
         response = respond(field, state)
         belief = object_belief(whitener, response, power, slot_prior._replace(log_weight=log_weight))
@@ -106,23 +127,25 @@ def propose_adapted(
     return objects, torch.stack(responses, batch_dims), beliefs
 
 
-def _draw(
-    log_likelihood: Callable[[Tensor], Tensor],
-    mean: Tensor,
-    covariance: Tensor,
-    rounds: Tensor,
-    final: Tensor,
-) -> tuple[Tensor, Tensor]:
-    """Particles of one object per batch element and their log prior over proposal, over P."""
-    d = mean.shape[-1] // 2
-    tril = scale_tril(covariance)
-    # With L = [[A, 0], [B, C]] the rates given the position are N(m_v + B A^-1 (p - m_p), C C^T).
-    prior = Gaussian(mean[..., :d], tril[..., :d, :d])
+@torch.no_grad()
+def draw_adapted(
+    log_likelihood: Callable[[Tensor], Tensor], predicted: Gaussian, rounds: Tensor, final: Tensor
+) -> Adapted:
+    """Particles where a predicted Gaussian and a likelihood meet.
+
+    Args:
+        log_likelihood: maps positions `(*batch, S, d)` to `(*batch, S)`.
+        predicted: of the state, D = 2 d.
+        rounds: `(*batch, rounds, S, d)` standard normal draws.
+        final: `(*batch, P, 2 d)` standard normal draws.
+    """
+    d = final.shape[-1] // 2
+    prior = Gaussian(predicted.mean[..., :d], predicted.tril[..., :d, :d])
     mixture = adapt(log_likelihood, prior, rounds.movedim(-3, 0))
     position = mixture.sample(final[..., :d])
-    whitened = torch.linalg.solve_triangular(
-        prior.tril.mT, position - prior.mean[..., None, :], upper=True, left=False
-    )
-    rate = mean[..., None, d:] + whitened @ tril[..., d:, :d].mT + final[..., d:] @ tril[..., d:, d:].mT
-    log_weight = prior.log_prob(position) - mixture.log_prob(position) - math.log(position.shape[-2])
-    return torch.cat([position, rate], -1), log_weight
+    # With L = [[A, 0], [B, C]] the rates given the position are N(m_v + B A^-1 (p - m_p), C C^T).
+    white = torch.cat([prior.whiten(position), final[..., d:]], -1)
+    state = torch.cat([position, predicted.sample(white)[..., d:]], -1)
+    log_prior = predicted.log_prob(state)
+    log_rate = log_prior - prior.log_prob(position)
+    return Adapted(state, white, log_prior, mixture.log_prob(position) + log_rate)

@@ -56,7 +56,7 @@ def search(
     signal: Tensor,
     noise: Noise,
     free: Tensor,
-    threshold: float,
+    threshold: Tensor,
     rounds: Tensor,
     *,
     refine: bool = True,
@@ -68,7 +68,7 @@ def search(
         signal: `(*batch, I, M, M)` covariance of the known objects.
         noise: predicted noise belief.
         free: `(*batch,)` int64, how many new objects there is room for.
-        threshold: smallest log-likelihood ratio at its peak that is worth a new object.
+        threshold: `(*batch,)`, smallest log-likelihood ratio at its peak that is worth a new object.
         rounds: `(*batch, Q, rounds, S, d)` standard normal draws; Q is the largest number of picks.
         refine: look for the peak between the grid's points; else a pick stays at the centre of its cell.
 
@@ -111,7 +111,7 @@ def search(
     # Together the picks up to the last one kept are worth the threshold each.
     gain = torch.stack(gains[1:], dim) - gains[0][..., None]
     rank = torch.arange(1, len(found) + 1, dtype=gain.dtype, device=gain.device)
-    worthy = (alive & (gain > rank * threshold)).flip(-1).cummax(-1).values.flip(-1)
+    worthy = (alive & (gain > rank * threshold[..., None])).flip(-1).cummax(-1).values.flip(-1)
     active = torch.where(unsettled[..., None], worthy, alive)
     power = torch.where(active[..., None], power, 0.0)
     if bool((alive & ~active).any()):
@@ -151,7 +151,7 @@ def propose_newborn(
     picks: Picks,
     noise: Noise,
     power_prior: tuple[Tensor, Tensor],
-    log_odds: float,
+    log_odds: Tensor,
     draws: Draws,
     *,
     adapted: bool = True,
@@ -165,7 +165,7 @@ def propose_newborn(
         signal: `(*batch, I, M, M)` covariance of the known objects.
         noise: noise belief with known objects and picks explained.
         power_prior: support points and log-weights `(*batch, I, G)`.
-        log_odds: prior log-odds of an object in one cell.
+        log_odds: `(*batch,)`, prior log-odds of an object in one cell.
         draws: at least as many as picks.
         adapted: fit the proposal to the likelihood; else particles are drawn from the prior.
 
@@ -193,6 +193,6 @@ def propose_newborn(
     rate = region.rate_low + (region.rate_high - region.rate_low) * torch.special.ndtr(final[..., d:])
     log_weight = prior.log_prob(position) - proposal.log_prob(position) - math.log(final.shape[-2])
     state = torch.cat([position, rate], -1)
-    odds = torch.where(picks.active, torch.full_like(picks.position[..., 0], log_odds), -torch.inf)
+    odds = torch.where(picks.active, log_odds[..., None], -torch.inf)
     label = torch.zeros(picks.active.shape, dtype=torch.int64, device=state.device)
     return Objects(state, log_weight, power, log_power_weight, odds, label), respond(field, state)

@@ -97,6 +97,41 @@ class MismatchSettings:
 
 
 @dataclass
+class PopulationSettings:
+    """Sources drawn from the tracker's model (Liang and Meyer, Sec. II-B) instead of being listed.
+
+    Attributes:
+        birth_mean: mu_B, mean number of new sources per step.
+        survival: p_s, probability to go on existing for one step.
+        power_shape: c_gamma, shape of the Gamma transition of the powers.
+        noise_shape: c_eta, shape of the Gamma transition of the noise variances.
+        power_db: lowest and highest initial power of each tone, relative to the scenario's reference; uniform
+            in dB between them.
+        max_objects: number of sources at once; births beyond it are dropped. None drops none.
+    """
+
+    birth_mean: float = 1e-4
+    survival: float = 0.95
+    power_shape: float = 1e4
+    noise_shape: float = 1e2
+    power_db: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    max_objects: int | None = None
+
+    def __post_init__(self) -> None:
+        limits, most = self.power_db, self.max_objects
+        rising = _are_numbers(limits) and len(limits) == 2 and limits[0] <= limits[1]
+        for name, holds, expected in (
+            ("birth_mean", 0 <= self.birth_mean < math.inf, "a number from 0 up"),
+            ("survival", 0 <= self.survival <= 1, "a probability"),
+            ("power_shape", 0 < self.power_shape < math.inf, "a positive number"),
+            ("noise_shape", 0 < self.noise_shape < math.inf, "a positive number"),
+            ("power_db", rising, "[lowest, highest], finite numbers"),
+            ("max_objects", most is None or most >= 1, "a positive integer or null"),
+        ):
+            require(holds, f"scenario.population.{name}", getattr(self, name), expected)
+
+
+@dataclass
 class CoordinateSettings:
     """One coordinate of the region, see `torchdt.model.region.Coordinate`."""
 
@@ -125,6 +160,7 @@ class ScenarioSettings:
         coordinates: the region of interest.
         paths: by name.
         sources: by name; none is noise alone.
+        population: draws the sources from the tracker's model; None for those of `sources`.
         mismatch: difference between the simulator's and the tracker's environment.
         gospa_cutoff, gospa_order: c, in units of the coordinates, and p.
     """
@@ -139,6 +175,7 @@ class ScenarioSettings:
     coordinates: list[CoordinateSettings] = field(default_factory=lambda: [CoordinateSettings()])
     paths: dict[str, PathSettings] = field(default_factory=dict)
     sources: dict[str, SourceSettings] = field(default_factory=dict)
+    population: PopulationSettings | None = None
     mismatch: MismatchSettings = field(default_factory=MismatchSettings)
     gospa_cutoff: float = 200.0
     gospa_order: float = 1.0
@@ -156,6 +193,8 @@ class ScenarioSettings:
             ("amplitudes", self.amplitudes in AMPLITUDES, " or ".join(AMPLITUDES)),
         ):
             require(holds, f"scenario.{name}", getattr(self, name), expected)
+        either = self.population is None or not self.sources
+        require(either, "scenario.sources", sorted(self.sources), "none beside scenario.population")
         width, known = len(self.coordinates), sorted(self.paths)
         for name, path in self.paths.items():
             fits = all(len(position) == width for position in path.positions)

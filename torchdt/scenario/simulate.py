@@ -46,8 +46,8 @@ def simulate_snapshots(
         Snapshots `(K, I, J, M)` complex128 and true positions `(K, L, d)` float64, NaN while absent.
     """
     shape = (scenario.num_steps, field.num_tones, scenario.num_snapshots)
-    noise_variance = 10 ** (-scenario.snr_db / 10) / field.num_sensors
-    snapshots = math.sqrt(noise_variance) * _complex_normal((*shape, field.num_sensors), generator)
+    scale = math.sqrt(noise_variance(field, scenario))
+    snapshots = scale * complex_normal((*shape, field.num_sensors), generator)
     truth = torch.full(
         (scenario.num_steps, len(scenario.sources), len(scenario.coordinates)), torch.nan
     ).double()
@@ -55,22 +55,42 @@ def simulate_snapshots(
         truth[:, index] = position = source_track(
             source, scenario.paths[source.path], scenario.num_steps, scenario.step_s
         )
-        sending = ~position.isnan().any(-1)
+        sending = position.clone()
         for first, last in source.silences:
-            sending[first : last + 1] = False
-        rho = _amplitudes(scenario, shape, generator)
+            sending[first : last + 1] = torch.nan
+        rho = amplitudes(scenario, shape, generator)
         if source.frozen_step is not None:
             rho = rho[:1].expand(shape)
-        response = field(torch.where(sending[:, None], position, 1.0))
-        signal = 10 ** (source.power_db / 20) * rho[..., None] * response[..., None, :]
-        snapshots = snapshots + torch.where(sending[:, None, None, None], signal, 0.0)
+        snapshots = snapshots + received(field, sending, 10 ** (source.power_db / 20) * rho)
     return snapshots, truth
 
 
-def _amplitudes(scenario: ScenarioSettings, shape: tuple[int, int, int], generator: Generator) -> Tensor:
-    """Unit-power amplitudes `(K, I, J)`."""
+def noise_variance(field: Field, scenario: ScenarioSettings) -> float:
+    """Noise variance per element that the scenario's signal-to-noise ratio stands for."""
+    return 10 ** (-scenario.snr_db / 10) / field.num_sensors
+
+
+def received(field: Field, position: Tensor, amplitude: Tensor) -> Tensor:
+    """What the array receives of one source.
+
+    Args:
+        field: the array response.
+        position: `(K, d)`, NaN where the source sends nothing.
+        amplitude: `(K, I, J)` complex.
+
+    Returns:
+        `(K, I, J, M)` complex, zero where the source sends nothing.
+    """
+    sending = ~position.isnan().any(-1)
+    response = field(torch.where(sending[:, None], position, 1.0))
+    signal = amplitude[..., None] * response[..., None, :]
+    return torch.where(sending[:, None, None, None], signal, 0.0)
+
+
+def amplitudes(scenario: ScenarioSettings, shape: tuple[int, int, int], generator: Generator) -> Tensor:
+    """Unit-power amplitudes `(K, I, J)` of one source."""
     if scenario.amplitudes == "gaussian":
-        return _complex_normal(shape, generator)
+        return complex_normal(shape, generator)
     num_steps, num_tones, num_snapshots = shape
     walk = torch.randn(num_tones, num_steps * num_snapshots, generator=generator, dtype=torch.float64)
     start = 2 * math.pi * torch.rand(num_tones, 1, generator=generator, dtype=torch.float64)
@@ -78,5 +98,6 @@ def _amplitudes(scenario: ScenarioSettings, shape: tuple[int, int, int], generat
     return torch.polar(torch.ones_like(phase), phase).reshape(num_tones, num_steps, -1).transpose(0, 1)
 
 
-def _complex_normal(shape: tuple[int, ...], generator: Generator) -> Tensor:
+def complex_normal(shape: tuple[int, ...], generator: Generator) -> Tensor:
+    """Standard circular complex normal draws, complex128."""
     return torch.randn(shape, generator=generator, dtype=torch.complex128)

@@ -1,0 +1,148 @@
+"""What a tuning job works on: sequences, what can be tuned on them, and trackers of given values."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdt.errors import require
+from torchdt.experiment.build import ARRAY_KEYS, build_field, build_region, build_tracker, simulate
+from torchdt.experiment.quality import consecutive
+from torchdt.experiment.settings import TrackSettings
+from torchdt.field.base import Field
+from torchdt.field.build import EnvironmentDraw, as_draw
+from torchdt.field.family import WaveguideFamily
+from torchdt.field.waveguide import NormalModeField
+from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings
+from torchdt.model.parameters import default_parameters
+from torchdt.scenario.npz import read_npz
+from torchdt.scenario.recording import Recording
+from torchdt.tuning.fields import ENVIRONMENT, FieldOf, environment_fields, share_fields
+from torchdt.tuning.sequences import stack_recordings
+from torchdt.tuning.tracker import TrackerFamily
+
+# Where the share starts if the configuration has none; zero lies on the edge of its support.
+SHARE_START = 0.01
+
+
+class SequenceSet(NamedTuple):
+    """Sequences tuned or held out together.
+
+    Attributes:
+        recording: B sequences of K steps.
+        mask: `(B, K)` bool, steps that are not padding.
+        seeds: of the filter, one per sequence.
+    """
+
+    recording: Recording
+    mask: Tensor
+    seeds: list[int]
+
+
+def gather(settings: TrackSettings, seeds: Sequence[int], paths: Sequence[str], pad: bool) -> SequenceSet:
+    """Read the files or, without any, simulate the scenario once for each seed.
+
+    Raises:
+        InputError: where a file does not make sense or the recordings do not fit together.
+    """
+    if paths:
+        recordings = [read_npz(Path(path)) for path in paths]
+        number = sum(r.batch_size for r in recordings)
+        seeds = range(settings.seed, settings.seed + number)
+    else:
+        groups = consecutive(seeds)
+        recordings = [simulate(replace(settings, seed=group[0], runs=len(group))) for group in groups]
+    return SequenceSet(*stack_recordings(recordings, pad), list(seeds))
+
+
+class Problem(NamedTuple):
+    """What is tuned, and the trackers of its values for each set.
+
+    Attributes:
+        hyperparameters: at their start.
+        families: of trackers, in the order of the sets.
+    """
+
+    hyperparameters: Hyperparameters
+    families: list[TrackerFamily]
+
+
+def build_problem(
+    settings: TrackSettings, chosen: dict[str, HyperparameterSettings], sets: Sequence[SequenceSet]
+) -> Problem:
+    """Hyperparameters of the configured model, and trackers in their field.
+
+    Raises:
+        InputError: where a hyperparameter is unknown or none of this field, starts outside its range, or
+            belongs to an environment that the calibration is to fit; or where a set does not fit the field.
+    """
+    of_field = [name for name in chosen if name in (*ENVIRONMENT, "mismatch_share")]
+    for name in of_field:
+        expected = "calibration=none: it would fit the same"
+        require(not settings.calibration.enabled, f"hyperparameters.{name}", "calibration.enabled", expected)
+    config = settings.tracker
+    if "mismatch_share" in chosen:
+        config = replace(config, mismatch_share=None)
+    trackers = [build_tracker(replace(settings, tracker=config), s.recording) for s in sets]
+    target = _target(settings, sets[0].recording)
+    defaults = _defaults(settings, target, trackers[0].field)
+    hyperparameters = Hyperparameters(chosen, defaults)
+    for name in chosen:
+        key, expected = f"hyperparameters.{name}", f"one of {sorted(defaults)} with this field"
+        require(name in defaults, key, "a quantity that the field does not have", expected)
+    like = trackers[0].region.low
+    varied = None
+    if any(name in ENVIRONMENT for name in chosen):
+        start = {name: torch.as_tensor(defaults[name]) for name in ENVIRONMENT}
+        with torch.no_grad():
+            varied = environment_fields(_family(settings, target), {**start, **hyperparameters()})
+    families = []
+    for tracker in trackers:
+        field_of = varied or _constant(tracker.field)
+        field_of = share_fields(field_of, like) if "mismatch_share" in chosen else field_of
+        families.append(TrackerFamily(field_of, tracker.region, tracker.step_s, config))
+    return Problem(hyperparameters, families)
+
+
+def _constant(field: Field) -> FieldOf:
+    return lambda values: field
+
+
+def _target(settings: TrackSettings, recording: Recording) -> dict[str, object]:
+    """The field's configuration, with what the recording says of its array."""
+    known = {key: getattr(recording, key) for key in ARRAY_KEYS if key in settings.field}
+    return {**settings.field, **{key: v.tolist() for key, v in known.items() if isinstance(v, Tensor)}}
+
+
+def _defaults(settings: TrackSettings, target: dict, field: Field) -> dict[str, Tensor | float]:
+    """All that can be tuned, with the values of the configuration, in float64."""
+    region = build_region(settings, torch.float64)
+    defaults: dict[str, Tensor | float] = dict(default_parameters(settings.tracker, region)._asdict())
+    if hasattr(field, "incoherent"):
+        share = settings.tracker.mismatch_share or [SHARE_START] * field.num_tones
+        defaults["mismatch_share"] = torch.tensor(share, dtype=torch.float64)
+    eofs = target.get("eofs")
+    if isinstance(field, NormalModeField) and eofs is not None:
+        draw = as_draw(target.get("draw")) or EnvironmentDraw()
+        coefficients = torch.zeros(len(eofs["functions"][0]), dtype=torch.float64)
+        coefficients[: len(draw.eof_coefficients)] = torch.tensor(draw.eof_coefficients)
+        values = (coefficients, draw.tilt_deg, draw.water_depth_m)
+        defaults.update(zip(ENVIRONMENT, values, strict=True))
+    return defaults
+
+
+def _family(settings: TrackSettings, target: dict) -> WaveguideFamily:
+    """Waveguides beside the configured one, in the type of the tracker."""
+
+    def solve(draw: EnvironmentDraw) -> NormalModeField:
+        field = build_field(target, settings.torch_dtype, settings.device, draw=draw)
+        assert isinstance(field, NormalModeField)
+        return field
+
+    config = settings.calibration
+    num_eofs = len(target["eofs"]["functions"][0])
+    stds = [config.eof_std] * num_eofs
+    return WaveguideFamily(solve, stds, config.tilt_std_deg, config.water_depth_std_m, settings.device)

@@ -1,0 +1,204 @@
+"""Tune hyperparameters on the likelihood of simulated or recorded sequences."""
+
+import contextlib
+import dataclasses
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from torch import Tensor
+
+from torchdt.experiment.settings import settings_of
+from torchdt.experiment.track import score_history
+from torchdt.experiment.tunable import SequenceSet, build_problem, gather
+from torchdt.experiment.tune_settings import TuneSettings
+from torchdt.model.hyperparameters import Hyperparameters
+from torchdt.report.files import manifest, write_json
+from torchdt.report.tuning import TuningReport, slice_figure, tuning_summary, write_tuned, write_tuning_csv
+from torchdt.tracking import prepare, track
+from torchdt.tuning.checkpoint import flatten, load_checkpoint, save_checkpoint
+from torchdt.tuning.gradient import ascend
+from torchdt.tuning.search import search
+from torchdt.tuning.slices import slices
+from torchdt.tuning.state import TuningState, numbers, raw_values, set_raw
+from torchdt.tuning.tracker import TrackerFamily, TrackerObjective
+
+log = logging.getLogger(__name__)
+
+
+def run_tune(config: DictConfig) -> float | None:
+    """Tune in Hydra's run directory; in that of a run that was interrupted, go on from its checkpoint.
+
+    Tracking of the held-out set and likelihood slices are shown beside the tuning; the passes that the
+    records count do not include them.
+
+    Returns:
+        Minus the best held-out log-likelihood per step, for sweeps to minimise; None if it is not finite.
+
+    Raises:
+        InputError: where configuration or data do not make sense, or the directory holds the checkpoint of
+            another configuration. The directory's results then stay as they are.
+    """
+    settings = settings_of(config)
+    assert isinstance(settings, TuneSettings)
+    directory = Path(HydraConfig.get().runtime.output_dir)
+    if settings.threads is not None:
+        torch.set_num_threads(settings.threads)
+    plain = dataclasses.asdict(settings)
+    fingerprint = flatten({key: value for key, value in plain.items() if key != "logging"})
+    known = load_checkpoint(directory / "checkpoint.pt", fingerprint)
+    sets = [
+        gather(settings, settings.train_seeds, settings.train_paths, settings.pad),
+        gather(settings, settings.heldout_seeds, settings.heldout_paths, settings.pad),
+    ]
+    hyperparameters, families = build_problem(settings, settings.hyperparameters, sets)
+    job = TuneJob(settings, directory, fingerprint, hyperparameters, sets, families)
+    write_json(directory / "manifest.json", manifest(plain, settings.seed))
+    state = job.run(known)
+    log.info("results in %s", directory)
+    log.info(
+        "track with the tuned values: python experiments/track.py --config-dir=%s --config-name=tuned",
+        directory.resolve(),
+    )
+    return None if state.best_heldout is None else -state.best_heldout
+
+
+class TuneJob:
+    """One tuning run and its files.
+
+    Args:
+        settings: of the run.
+        directory: for results and checkpoint.
+        fingerprint: of the configuration, for the checkpoint.
+        hyperparameters: at their start.
+        sets: training and held-out sequences.
+        families: trackers for each of them.
+    """
+
+    def __init__(
+        self,
+        settings: TuneSettings,
+        directory: Path,
+        fingerprint: dict[str, object],
+        hyperparameters: Hyperparameters,
+        sets: list[SequenceSet],
+        families: list[TrackerFamily],
+    ) -> None:
+        self.settings, self.directory, self.fingerprint = settings, directory, fingerprint
+        self.hyperparameters, self.sets, self.families = hyperparameters, sets, families
+        self.start = raw_values(hyperparameters)
+        self.train, self.heldout = (self._objective(*pair) for pair in zip(sets, families, strict=True))
+
+    def _objective(self, sequences: SequenceSet, family: TrackerFamily) -> TrackerObjective:
+        tuning = self.settings.tuning
+        recording, mask, seeds = sequences
+        prepared = prepare(recording, family.field_of(self.hyperparameters()), family.region, family.config)
+        return TrackerObjective(family, prepared, mask, seeds, block=tuning.block, truncate=tuning.truncate)
+
+    def run(self, state: TuningState | None) -> TuningState:
+        """Tune from a state on, then write what was found."""
+        tuning, logging_ = self.settings.tuning, self.settings.logging
+        method = ascend if tuning.method == "gradient" else search
+        reached = state
+        with contextlib.ExitStack() as stack:
+            advance = stack.enter_context(progress_bar(self.settings))
+            first = 0 if state is None else len(state.records)
+            report = TuningReport(self.directory / "tensorboard", first) if logging_.tensorboard else None
+            if report is not None:
+                stack.enter_context(report)
+            for reached in method(self.hyperparameters, self.train, self.heldout, tuning, state):
+                step = reached.records[-1].step
+                if report is not None:
+                    report.add_record(reached.records[-1])
+                    if step % tuning.gospa_every == 0:
+                        report.add_gospa(self.gospa(reached.best), step)
+                if reached.finished or len(reached.records) % tuning.checkpoint_every == 0:
+                    self.save(reached, report)
+                advance(reached)
+            assert reached is not None
+            self.conclude(reached, report)
+        return reached
+
+    def save(self, state: TuningState, report: TuningReport | None) -> None:
+        """Bring the run so far to the disk, the checkpoint last: what it counts as done is there."""
+        if report is not None:
+            report.flush()
+        write_tuning_csv(self.directory / "tuning.csv", state.records)
+        save_checkpoint(self.directory / "checkpoint.pt", state, self.fingerprint)
+
+    def gospa(self, raw: dict[str, Tensor]) -> float | None:
+        """Mean GOSPA over sequences and steps of the held-out set; None without truth."""
+        now = raw_values(self.hyperparameters)
+        set_raw(self.hyperparameters, raw)
+        sequences, family = self.sets[1], self.families[1]
+        with torch.no_grad():
+            history = track(sequences.recording, family.at(self.hyperparameters()), sequences.seeds)
+        set_raw(self.hyperparameters, now)
+        score = score_history(history, sequences.recording, self.settings)
+        return None if score is None else score.total[sequences.mask].mean().item()
+
+    def conclude(self, state: TuningState, report: TuningReport | None) -> None:
+        """Write the best values, what they bring, and how the likelihood falls off around them."""
+        scores = self.gospa(self.start), self.gospa(state.best)
+        set_raw(self.hyperparameters, state.best)
+        values = self.hyperparameters.values()
+        write_tuned(self.directory / "tuned.yaml", values)
+        write_json(
+            self.directory / "tuning.json", tuning_summary(self.settings.tuning, state, values, scores)
+        )
+        step = state.records[-1].step
+        if report is not None:
+            report.add_gospa(scores[1], step)
+            metrics = {"heldout": state.best_heldout, "heldout_gospa": scores[1]}
+            report.add_hparams(numbers(values), metrics, step)
+        if self.settings.logging.figures and self.settings.tuning.slice_points:
+            self._draw_slices(step, report)
+
+    def _draw_slices(self, step: int, report: TuningReport | None) -> None:
+        tuning = self.settings.tuning
+        folder = self.directory / "figures"
+        folder.mkdir(exist_ok=True)
+        for line in slices(self.hyperparameters, self.train, tuning.width, tuning.slice_points):
+            figure = slice_figure(line)
+            figure.savefig(folder / f"slice_{line.name}.png", dpi=150)
+            if report is not None:
+                report.add_figure(f"slices/{line.name}", figure, step)
+
+
+@contextlib.contextmanager
+def progress_bar(settings: TuneSettings) -> Iterator[Callable[[TuningState], None]]:
+    """A bar with steps (passes of a search) and how they go; hands out the function that moves it."""
+    alone = HydraConfig.get().mode is not RunMode.MULTIRUN
+    visible = settings.logging.progress and alone and sys.stderr.isatty()
+    climbing = settings.tuning.method == "gradient"
+    columns = (
+        TextColumn("step" if climbing else "pass"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("objective {task.fields[objective]}"),
+        TextColumn("best held-out {task.fields[heldout]}"),
+        TextColumn("skipped {task.fields[skipped]}"),
+        TimeRemainingColumn(),
+    )
+    total = settings.tuning.steps + 1 if climbing else settings.tuning.budget_passes
+    with Progress(*columns, console=Console(stderr=True), disable=not visible) as progress:
+        task = progress.add_task("", total=total, objective="-", heldout="-", skipped=0)
+
+        def advance(state: TuningState) -> None:
+            objective = state.records[-1].objective
+            progress.update(
+                task,
+                completed=len(state.records) if climbing else state.passes,
+                objective="-" if objective is None else f"{objective:.4f}",
+                heldout="-" if state.best_heldout is None else f"{state.best_heldout:.4f}",
+                skipped=state.skipped,
+            )
+
+        yield advance
