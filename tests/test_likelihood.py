@@ -6,18 +6,17 @@ from unittest import mock
 
 import pytest
 import torch
-from oracles.line_array import make_field, make_region, make_tracker, simulate
+from oracles.line_array import make_tracker, simulate
 from torch import Tensor
 
+import torchdt.placement
 import torchdt.proposal.moved
 import torchdt.proposal.newborn
 import torchdt.tracker
-from torchdt.errors import InputError
 from torchdt.likelihood import log_likelihood
 from torchdt.model.measurement import Measurement, from_snapshots
 from torchdt.model.parameters import Parameters
 from torchdt.model.prior import data_priors
-from torchdt.particles.transition import drive
 from torchdt.random import RandomStreams
 from torchdt.tracker import DirectTracker
 
@@ -78,13 +77,13 @@ class Tape:
 
 @contextlib.contextmanager
 def frozen_proposals() -> Iterator[list[Tape]]:
-    """What is constant to the gradient: where particles are, what is picked, which configurations are drawn."""
+    """What is constant to the gradient: particles, picks and drawn configurations."""
     with contextlib.ExitStack() as stack:
         tapes = []
         for module, name in (
             (torchdt.proposal.moved, "draw_adapted"),
             (torchdt.proposal.newborn, "adapt"),
-            (torchdt.tracker, "search"),
+            (torchdt.placement, "search"),
             (torchdt.tracker, "draw_configurations"),
         ):
             tapes.append(Tape(getattr(module, name)))
@@ -102,6 +101,7 @@ def test_gradient_equals_finite_differences(measurement, proposal, evidence):
     with frozen_proposals() as tapes:
         found = gradients(tracker, measurement)
         assert tapes[2].record
+
         def value(**changed: Tensor) -> float:
             for tape in tapes:
                 tape.position = 0

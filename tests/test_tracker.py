@@ -4,15 +4,13 @@ import math
 
 import pytest
 import torch
-from oracles.line_array import make_field, make_region, make_tracker, simulate
+from oracles.line_array import make_tracker, simulate
 
-from torchdt.config import TrackerConfig
 from torchdt.history import TrackHistory
 from torchdt.linalg import NumericalError
 from torchdt.model.measurement import from_snapshots
 from torchdt.model.prior import data_priors
 from torchdt.random import RandomStreams
-from torchdt.tracker import DirectTracker
 
 TWO = (((0.0, -40.0), (20.0, -25.0)), ((0.0, 30.0), (20.0, 20.0)))
 ONE = (((0.0, 5.0), (20.0, 12.0)),)
@@ -297,5 +295,3 @@ def test_initial_state():
     assert state.objects.state.shape == (1, 4, 200, 2)
     assert (state.noise.variance <= priors.noise_max[..., None]).all()
     torch.testing.assert_close(state.noise.log_weight.exp().sum(-1), torch.ones(1, 2, dtype=torch.float64))
-
-

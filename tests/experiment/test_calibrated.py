@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from torchdt.experiment.build import build_field, build_recording, build_tracker
+from torchdt.experiment.build import build_recording, build_tracker
+from torchdt.experiment.fields import build_field
 from torchdt.field.stacked import StackedField
 
 TINY = (

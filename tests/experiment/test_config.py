@@ -7,11 +7,13 @@ import torchdt.conf
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from torchdt.experiment.build import build_field, simulate
+from torchdt.experiment.build import simulate
+from torchdt.experiment.fields import build_field
 from torchdt.scenario.simulate import source_track
 
 CONF = Path(torchdt.conf.__file__).parent
-OPTIONS = sorted((path.parent.name, path.stem) for path in CONF.glob("*/*.yaml"))
+# The options of tuning belong to another job.
+OPTIONS = sorted((p.parent.name, p.stem) for p in CONF.glob("*/*.yaml") if p.parent.name != "tuning")
 
 
 def read_table(path):

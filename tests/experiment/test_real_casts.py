@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from torchdt.experiment.build import build_field, build_tracker
+from torchdt.experiment.build import build_tracker
+from torchdt.experiment.fields import build_field
 from torchdt.experiment.track import score_history
 from torchdt.field.build import EnvironmentDraw
 from torchdt.scenario.recording import validate

@@ -20,6 +20,7 @@ from torchdt.state import Noise
 
 F64 = torch.float64
 ETA, SNAPSHOTS, THRESHOLD, PICKS = 0.0125, 6, 9.0, 4
+ODDS = torch.tensor(-10.0, dtype=F64)
 FIELD, REGION = make_field(), make_region()
 DICTIONARY = build_dictionary(FIELD, REGION)
 
@@ -123,7 +124,7 @@ def test_evidence_agrees_with_quadrature(bearing):
     streams = RandomStreams.from_seeds(range(50, 50 + runs), (runs,), F64)
     draws = Draws(streams.normal(1, 4, 128, 1), streams.normal(1, 500, 2))
     signal = torch.zeros(runs, 2, 8, 8, dtype=torch.complex128)
-    new, response = propose_newborn(FIELD, REGION, data, signal, picks, noise, prior, torch.tensor(-10.0, dtype=F64), draws)
+    new, response = propose_newborn(FIELD, REGION, data, signal, picks, noise, prior, ODDS, draws)
     whitener = whiten(data, mask_covariance(signal, noise.mean, data.present))
     message = state_message(whitener, response[:, 0], *prior)
     found = (new.log_weight[:, 0] + message).logsumexp(-1)
@@ -148,7 +149,7 @@ def test_particles_sit_where_the_source_is():
     streams = RandomStreams.from_seeds([1], (1,), F64)
     draws = Draws(streams.normal(PICKS, 4, 128, 1), streams.normal(PICKS, 500, 2))
     signal = torch.zeros(1, 2, 8, 8, dtype=torch.complex128)
-    new, response = propose_newborn(FIELD, REGION, data, signal, picks, noise, prior, torch.tensor(-10.0, dtype=F64), draws)
+    new, response = propose_newborn(FIELD, REGION, data, signal, picks, noise, prior, ODDS, draws)
     assert new.state.shape == (1, 2, 500, 2)
     for q in range(2):
         outer = picks.power[0, 1 - q][:, None, None] * picks.moment[0, 1 - q]

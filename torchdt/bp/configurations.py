@@ -6,11 +6,13 @@ labelling of several; then the labellings that exchange two objects are proposed
 configuration is that of the mixture.
 """
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import logsigmoid
 
 from torchdt.bp.messages import ObjectBelief, object_belief
 from torchdt.bp.rank_one import whiten
@@ -87,8 +89,7 @@ def log_probability(objects: ObjectBelief, exists: Tensor, state: Tensor, power:
         objects: beliefs of batch `(*batch, N)`.
         exists, state, power: as in `Configurations`.
     """
-    log_r = torch.nn.functional.logsigmoid(objects.log_odds)[..., None]
-    log_not = torch.nn.functional.logsigmoid(-objects.log_odds)[..., None]
+    log_r, log_not = logsigmoid(objects.log_odds)[..., None], logsigmoid(-objects.log_odds)[..., None]
     inside = objects.log_weight.gather(-1, state) + objects.log_power_weight.gather(-1, power).sum(-2)
     return torch.where(exists, log_r + inside, log_not).sum(-2)
 
@@ -100,8 +101,8 @@ def draw_configurations(
     """Draw from a mixture of beliefs, a fixed number of configurations from each.
 
     Args:
-        labellings: C beliefs of batch `(*batch, N)` on the same support points; objects that cannot exist have
-            log-odds of minus infinity.
+        labellings: C beliefs of batch `(*batch, N)` on the same support points; objects that cannot exist
+            have log-odds of minus infinity.
         active: `(*batch, C)` bool, the components in use; the first always is.
         noise: belief of the noise.
         draws: uniform draws for S configurations.
@@ -154,8 +155,7 @@ def labellings(
     """
     components = [beliefs.objects]
     active = [torch.ones_like(exchangeable[..., 0, 0])]
-    first, second = torch.triu_indices(*exchangeable.shape[-2:], offset=1, device=exchangeable.device)
-    for n, m in zip(first.tolist(), second.tolist(), strict=True):
+    for n, m in itertools.combinations(range(exchangeable.shape[-1]), 2):
         if not bool(exchangeable[..., n, m].any()):
             continue
         exchanged = beliefs.objects

@@ -1,9 +1,9 @@
 """Evidence of one time step, `log p(z_k | z_1..k-1)`, given the predicted beliefs of objects and noise.
 
 Two estimates. The Gaussian one replaces the predicted mixture by one Gaussian of the same covariance: one
-factorisation, and it knows nothing of new objects. The sampled one weights joint configurations, drawn from the
-posterior beliefs, by exact likelihood times prior over proposal: unbiased for p (not for its logarithm) whatever
-the beliefs are, and of low variance where BP comes near the truth.
+factorisation, and it knows nothing of new objects. The sampled one weights joint configurations, drawn from
+the posterior beliefs, by exact likelihood times prior over proposal: unbiased for p (not for its logarithm)
+whatever the beliefs are, and of low variance where BP comes near the truth.
 """
 
 import math

@@ -64,7 +64,8 @@ def statistics(whitener: Whitener, response: Tensor) -> tuple[Tensor, Tensor]:
     """
     num_sensors = response.shape[-1]
     # a^H [L^-H, Sigma^-1 B]; the conjugate moves to the small factor, |.|^2 does not see it.
-    projected = torch.view_as_real(response @ whitener.projection.conj().resolve_conj()).square().sum(-1)
+    parts = torch.view_as_real(response @ whitener.projection.conj().resolve_conj())
+    projected = (parts * parts).sum(-1)
     return projected[..., :num_sensors].sum(-1), projected[..., num_sensors:].sum(-1)
 
 

@@ -5,23 +5,16 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from hydra.utils import instantiate
 from torch import Generator, Tensor
 from torch.nn.functional import pad
 
-from torchdt.calibration.environment import calibrate
 from torchdt.errors import InputError, require
+from torchdt.experiment.environment import calibrated_field
+from torchdt.experiment.fields import build_field
 from torchdt.experiment.settings import TrackSettings
 from torchdt.field.base import Field
 from torchdt.field.build import EnvironmentDraw
-from torchdt.field.family import WaveguideFamily, draw_of
-from torchdt.field.mismatch import MismatchedField
-from torchdt.field.stacked import StackedDiffuseField, StackedField
-from torchdt.field.waveguide import NormalModeField
-from torchdt.model.birth import birth_log_odds
-from torchdt.model.measurement import Measurement
-from torchdt.model.parameters import default_parameters
-from torchdt.model.prior import Priors
+from torchdt.field.mismatch import IncoherentField, MismatchedField
 from torchdt.model.region import Coordinate, Region
 from torchdt.scenario.generate import generate_snapshots
 from torchdt.scenario.npz import read_npz
@@ -29,31 +22,10 @@ from torchdt.scenario.recording import Recording, validate
 from torchdt.scenario.settings import MismatchSettings
 from torchdt.scenario.simulate import simulate_snapshots
 from torchdt.tracker import DirectTracker
-from torchdt.tracking import generator, prepare
+from torchdt.tracking import generator
 
 log = logging.getLogger(__name__)
 ARRAY_KEYS = ("freqs", "element_depths", "sensor_positions")
-
-
-def build_field(target: dict[str, Any], dtype: torch.dtype, device: str, **overrides: object) -> Field:
-    """Instantiate a field from its configuration group.
-
-    Raises:
-        InputError: where the target does not exist or does not take these arguments.
-    """
-    try:
-        field = instantiate({**target, **overrides}, dtype=dtype, device=device, _convert_="all")
-    except InputError:
-        raise
-    except Exception as error:
-        # Hydra wraps what a target raises; the cause says what is wrong with the input.
-        cause = error.__cause__
-        raise cause if isinstance(cause, InputError) else InputError(f"key 'field': {error}") from error
-    if not isinstance(field, Field):
-        raise InputError.of_key(
-            "field._target_", type(field).__name__, "an object that follows torchdt.field.Field"
-        )
-    return field
 
 
 def build_recording(settings: TrackSettings) -> Recording:
@@ -81,7 +53,8 @@ def simulate(settings: TrackSettings) -> Recording:
 
     Sequences of fewer sources than others have their truth filled up with absent ones.
     """
-    scenario, target = settings.scenario, settings.field
+    # A departure from the nominal environment is the tracker's; scenarios make their own.
+    scenario, target = settings.scenario, {k: v for k, v in settings.field.items() if k != "draw"}
     num_coordinates = build_field(target, torch.float64, "cpu").num_coordinates
     check_coordinates(settings, num_coordinates)
     region = Region(build_region(settings, torch.float64).coordinates, torch.float64)
@@ -142,13 +115,7 @@ def build_tracker(settings: TrackSettings, recording: Recording) -> DirectTracke
     Raises:
         InputError: where truth or array do not fit the scenario.
     """
-    known = {key: getattr(recording, key) for key in ARRAY_KEYS}
-    overrides = {
-        key: value.tolist()
-        for key, value in known.items()
-        if isinstance(value, Tensor) and key in settings.field
-    }
-    target = {**settings.field, **overrides}
+    target = recorded_target(settings, recording)
     field = build_field(target, settings.torch_dtype, settings.device)
     region = build_region(settings, settings.torch_dtype)
     check_coordinates(settings, field.num_coordinates)
@@ -156,8 +123,33 @@ def build_tracker(settings: TrackSettings, recording: Recording) -> DirectTracke
         found = f"{recording.truth.shape[-1]} coordinates"
         raise InputError.of_key("truth", found, f"{region.num_coordinates}, as the scenario")
     if settings.calibration.enabled:
-        field = calibrated_field(settings, recording, target, field)
+        field = calibrated_field(settings, recording, target, field, region)
+    if settings.tracker.mismatch_share is not None:
+        field = shared_field(field, settings)
     return DirectTracker(field, region, recording.step_s, settings.tracker)
+
+
+def recorded_target(settings: TrackSettings, recording: Recording) -> dict[str, Any]:
+    """The field's configuration, with what a recording says of its array in place of it."""
+    known = {key: getattr(recording, key) for key in ARRAY_KEYS if key in settings.field}
+    return {**settings.field, **{key: v.tolist() for key, v in known.items() if isinstance(v, Tensor)}}
+
+
+def shared_field(field: Field, settings: TrackSettings) -> MismatchedField:
+    """A field of which the configured share of each tone is not where it says.
+
+    Raises:
+        InputError: where the calibration estimates that share, the field does not know how it scatters, or
+            there is not one share for each tone.
+    """
+    share, key = settings.tracker.mismatch_share or [], "tracker.mismatch_share"
+    require(
+        not settings.calibration.enabled, key, share, "null, or calibration=none: that estimates the share"
+    )
+    if not isinstance(field, IncoherentField):
+        raise InputError.of_key(key, share, "null: this field does not know how its response scatters")
+    require(len(share) == field.num_tones, key, share, f"{field.num_tones} numbers, one for each tone")
+    return MismatchedField(field, torch.tensor(share, dtype=settings.torch_dtype, device=settings.device))
 
 
 def build_region(settings: TrackSettings, dtype: torch.dtype) -> Region:
@@ -171,53 +163,3 @@ def build_region(settings: TrackSettings, dtype: torch.dtype) -> Region:
     except ValueError as error:
         raise InputError(f"key 'scenario.coordinates': {error}") from error
     return Region(coordinates, dtype, settings.device)
-
-
-def calibrated_field(
-    settings: TrackSettings, recording: Recording, target: dict[str, Any], nominal: Field
-) -> Field:
-    """Fit the environment of each sequence; one field per sequence.
-
-    Raises:
-        InputError: where the field is no waveguide with EOFs.
-    """
-    config = settings.calibration
-    eofs = target.get("eofs")
-    if not isinstance(nominal, NormalModeField) or eofs is None:
-        raise InputError.of_key("calibration.enabled", True, "false: this field has no environment to fit")
-
-    def solve(draw: EnvironmentDraw, dtype: torch.dtype = torch.float64) -> NormalModeField:
-        field = build_field(target, dtype, settings.device, draw=draw)
-        assert isinstance(field, NormalModeField)
-        return field
-
-    num_eofs = len(eofs["functions"][0])
-    family = WaveguideFamily(
-        solve, [config.eof_std] * num_eofs, config.tilt_std_deg, config.water_depth_std_m, settings.device
-    )
-    region = build_region(settings, torch.float64)
-    prepared = prepare(recording, nominal, region, settings.tracker)
-    birth_mean = default_parameters(settings.tracker, region).birth_mean
-    threshold = settings.tracker.pick_threshold(birth_log_odds(birth_mean, region.num_cells))
-    names = [f"EOF {i + 1}" for i in range(num_eofs)] + ["tilt (deg)", "water depth (m)"]
-    fields = []
-    for run in range(recording.batch_size):
-        theta, share = calibrate(
-            family,
-            region,
-            Measurement(*(t[run] for t in prepared.measurement)),
-            Priors(*(t[run] for t in prepared.priors)),
-            config,
-            threshold,
-            generator(settings.seed + run, "calibration"),
-        )
-        found = ", ".join(f"{name} {value:+.2f}" for name, value in zip(names, theta.tolist(), strict=True))
-        log.info(
-            "sequence %d: environment departs from nominal by %s", run, found if theta.any() else "nothing"
-        )
-        log.info("sequence %d: unexplained share of each tone %s", run, share.tolist())
-        field = solve(draw_of(theta), settings.torch_dtype) if theta.any() else nominal
-        fields.append(MismatchedField(field, share.to(settings.torch_dtype)))
-    if any(field.share.any() for field in fields):
-        return StackedDiffuseField(fields)
-    return StackedField([field.field for field in fields])

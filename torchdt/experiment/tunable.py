@@ -1,7 +1,8 @@
 """What a tuning job works on: sequences, what can be tuned on them, and trackers of given values."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,12 +10,12 @@ import torch
 from torch import Tensor
 
 from torchdt.errors import require
-from torchdt.experiment.build import ARRAY_KEYS, build_field, build_region, build_tracker, simulate
+from torchdt.experiment.build import build_region, build_tracker, recorded_target, simulate
+from torchdt.experiment.environment import waveguide_family
 from torchdt.experiment.quality import consecutive
 from torchdt.experiment.settings import TrackSettings
 from torchdt.field.base import Field
 from torchdt.field.build import EnvironmentDraw, as_draw
-from torchdt.field.family import WaveguideFamily
 from torchdt.field.waveguide import NormalModeField
 from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings
 from torchdt.model.parameters import default_parameters
@@ -83,11 +84,9 @@ def build_problem(
     for name in of_field:
         expected = "calibration=none: it would fit the same"
         require(not settings.calibration.enabled, f"hyperparameters.{name}", "calibration.enabled", expected)
-    config = settings.tracker
-    if "mismatch_share" in chosen:
-        config = replace(config, mismatch_share=None)
+    share, config = settings.tracker.mismatch_share, replace(settings.tracker, mismatch_share=None)
     trackers = [build_tracker(replace(settings, tracker=config), s.recording) for s in sets]
-    target = _target(settings, sets[0].recording)
+    target = recorded_target(settings, sets[0].recording)
     defaults = _defaults(settings, target, trackers[0].field)
     hyperparameters = Hyperparameters(chosen, defaults)
     for name in chosen:
@@ -98,23 +97,25 @@ def build_problem(
     if any(name in ENVIRONMENT for name in chosen):
         start = {name: torch.as_tensor(defaults[name]) for name in ENVIRONMENT}
         with torch.no_grad():
-            varied = environment_fields(_family(settings, target), {**start, **hyperparameters()})
+            family = waveguide_family(settings, target, settings.torch_dtype)
+            varied = environment_fields(family, {**start, **hyperparameters()})
     families = []
     for tracker in trackers:
         field_of = varied or _constant(tracker.field)
-        field_of = share_fields(field_of, like) if "mismatch_share" in chosen else field_of
+        if "mismatch_share" in chosen:
+            field_of = share_fields(field_of, like)
+        elif share is not None:
+            field_of = partial(_with_share, share_fields(field_of, like), torch.tensor(share))
         families.append(TrackerFamily(field_of, tracker.region, tracker.step_s, config))
     return Problem(hyperparameters, families)
 
 
+def _with_share(field_of: FieldOf, share: Tensor, values: Mapping[str, Tensor]) -> Field:
+    return field_of({**values, "mismatch_share": share})
+
+
 def _constant(field: Field) -> FieldOf:
     return lambda values: field
-
-
-def _target(settings: TrackSettings, recording: Recording) -> dict[str, object]:
-    """The field's configuration, with what the recording says of its array."""
-    known = {key: getattr(recording, key) for key in ARRAY_KEYS if key in settings.field}
-    return {**settings.field, **{key: v.tolist() for key, v in known.items() if isinstance(v, Tensor)}}
 
 
 def _defaults(settings: TrackSettings, target: dict, field: Field) -> dict[str, Tensor | float]:
@@ -132,17 +133,3 @@ def _defaults(settings: TrackSettings, target: dict, field: Field) -> dict[str, 
         values = (coefficients, draw.tilt_deg, draw.water_depth_m)
         defaults.update(zip(ENVIRONMENT, values, strict=True))
     return defaults
-
-
-def _family(settings: TrackSettings, target: dict) -> WaveguideFamily:
-    """Waveguides beside the configured one, in the type of the tracker."""
-
-    def solve(draw: EnvironmentDraw) -> NormalModeField:
-        field = build_field(target, settings.torch_dtype, settings.device, draw=draw)
-        assert isinstance(field, NormalModeField)
-        return field
-
-    config = settings.calibration
-    num_eofs = len(target["eofs"]["functions"][0])
-    stds = [config.eof_std] * num_eofs
-    return WaveguideFamily(solve, stds, config.tilt_std_deg, config.water_depth_std_m, settings.device)

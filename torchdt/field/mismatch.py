@@ -22,6 +22,7 @@ class DiffuseField(Field, Protocol):
         ...
 
 
+@runtime_checkable
 class IncoherentField(Field, Protocol):
     """A field that knows its response with the phases of its parts lost."""
 

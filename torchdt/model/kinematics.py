@@ -22,9 +22,7 @@ def predict_state(state: Tensor, driving: Tensor, step_s: float) -> Tensor:
         `(*batch, 2 d)`.
     """
     position, rate = state.chunk(2, dim=-1)
-    return torch.cat(
-        [position + step_s * rate + 0.5 * step_s**2 * driving, rate + step_s * driving], dim=-1
-    )
+    return torch.cat([position + step_s * rate + 0.5 * step_s**2 * driving, rate + step_s * driving], dim=-1)
 
 
 def predict_moments(

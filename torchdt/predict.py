@@ -1,0 +1,81 @@
+"""The start of a step: where the objects are before the data."""
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+from torchdt.bp.schedule import Beliefs, initial_beliefs
+from torchdt.field.base import Field
+from torchdt.model.gamma_chain import predict_chain
+from torchdt.model.kinematics import predict_log_odds, predict_moments, predict_state
+from torchdt.model.parameters import Parameters, widen
+from torchdt.particles.transition import drive
+from torchdt.particles.weights import mean_and_covariance
+from torchdt.proposal.moved import diffuse_part, respond
+from torchdt.state import Objects, TrackerState
+
+
+class Predicted(NamedTuple):
+    """Objects before the data of a step.
+
+    Attributes:
+        objects: with moved particles, batch `(*batch, N)`.
+        moments: mean `(*batch, N, D)` and covariance `(*batch, N, D, D)` of their states.
+        response: `(*batch, N, I, P, M)` complex.
+        beliefs: before any message.
+    """
+
+    objects: Objects
+    moments: tuple[Tensor, Tensor]
+    response: Tensor
+    beliefs: Beliefs
+
+
+def predict(
+    field: Field, parameters: Parameters, step_s: float, state: TrackerState, draws: Tensor, gradient: str
+) -> Predicted:
+    """Move objects, powers and existence by one step.
+
+    Args:
+        field: array response.
+        parameters: numbers of the model.
+        step_s: time step in seconds.
+        state: belief after the last step, strongest objects first; slots that are empty throughout the batch
+            are left out of the result.
+        draws: `(*batch, N, P, d)` standard normal.
+        gradient: how the particles depend on the driving noise, see `drive`.
+    """
+    dim = state.objects.log_odds.ndim - 1
+    occupied = max(1, int(state.objects.log_odds.isfinite().sum(-1).max()))
+    old = Objects(*(t.narrow(dim, 0, occupied) for t in state.objects))
+    variance = parameters.driving_variance.unsqueeze(-2)
+    driving, log_ratio = drive(draws.narrow(dim, 0, occupied), variance, gradient)
+    chain = predict_chain(old.power, old.log_power_weight, widen(parameters.power_shape, 2))
+    objects = Objects(
+        predict_state(old.state, driving, step_s),
+        old.log_weight + log_ratio,
+        *chain,
+        predict_log_odds(old.log_odds, widen(parameters.survival, 1)),
+        old.label,
+    )
+    moments = predict_moments(*mean_and_covariance(old.state, old.log_weight), step_s, variance)
+    response = respond(field, objects.state)
+    diffuse = diffuse_part(field, objects.state, objects.log_weight)
+    return Predicted(objects, moments, response, initial_beliefs(objects, response, state.noise, diffuse))
+
+
+def exchangeable(predicted: Predicted, num_coordinates: int, within: float = 3.0) -> Tensor:
+    """Pairs of objects that could change places, `(*batch, N, N)` bool: their predictions overlap.
+
+    Args:
+        predicted: objects before the data.
+        num_coordinates: d; only positions count.
+        within: distance of the means in standard deviations of their difference.
+    """
+    mean, covariance = (t.detach()[..., :num_coordinates] for t in predicted.moments)
+    variance = covariance.diagonal(dim1=-2, dim2=-1)
+    distance = (mean.unsqueeze(-2) - mean.unsqueeze(-3)).square()
+    spread = variance.unsqueeze(-2) + variance.unsqueeze(-3)
+    there = predicted.objects.log_odds.isfinite()
+    both = there.unsqueeze(-1) & there.unsqueeze(-2)
+    return both & ((distance / spread).sum(-1) < within**2)
