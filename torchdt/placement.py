@@ -8,7 +8,6 @@ from torchdt.bp.schedule import Beliefs, initial_beliefs, select, update
 from torchdt.config import TrackerConfig
 from torchdt.detect.dictionary import Dictionary
 from torchdt.field.base import Field
-from torchdt.model.gamma_chain import uniform_prior
 from torchdt.model.kinematics import drop_outside
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
@@ -137,7 +136,8 @@ class Placer:
             signal,
             picks,
             known.beliefs.noise,
-            uniform_prior(priors.power_max, cfg.power_points),
+            priors.power_max,
+            cfg.power_points,
             self.birth_log_odds,
             draws,
             adapted=cfg.proposal == "adapted",

@@ -5,7 +5,7 @@ import torch
 from scipy.special import digamma, polygamma
 from torch.distributions import Gamma
 
-from torchdt.model.gamma_chain import predict_chain, uniform_prior
+from torchdt.model.gamma_chain import predict_chain, uniform_prior, uniform_prior_around
 from torchdt.state import weighted_mean
 
 
@@ -86,3 +86,31 @@ def test_uniform_prior_reaches_down_seven_decades(points):
     assert log_weight.exp().sum().item() == pytest.approx(1.0)
     # Each point stands for a bin whose probability is proportional to its value.
     torch.testing.assert_close((log_weight - values.log()).diff(), torch.zeros(points - 1), atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize(("best", "snapshots"), [(0.3, 3), (0.02, 3), (1.5, 3), (0.3, 20)])
+def test_uniform_prior_around_a_likelihood_integrates_it(best, snapshots):
+    """Likelihood of a power from J exponential energies, `v^-J exp(-J best / v)`: 16 points, within 1 %."""
+    maximum = torch.tensor([2.0], dtype=torch.float64)
+
+    def likelihood(values):
+        return (best / values) ** snapshots * torch.exp(snapshots * (1 - best / values))
+
+    points, log_weight = uniform_prior_around(torch.tensor([best], dtype=torch.float64), maximum, 16)
+    fine = maximum[:, None] * (torch.arange(200000) + 0.5) / 200000
+    found = (log_weight.exp() * likelihood(points)).sum(-1)
+    torch.testing.assert_close(found, likelihood(fine).mean(-1), rtol=1e-2, atol=0)
+    # The wide grid of as many points misses a likelihood this narrow.
+    wide, wide_weight = uniform_prior(maximum, 16)
+    error = (wide_weight.exp() * likelihood(wide)).sum(-1) / likelihood(fine).mean(-1) - 1
+    assert error.abs().item() > 0.03
+
+
+def test_uniform_prior_around_covers_what_is_below_and_stops_at_the_maximum():
+    maximum = torch.tensor([2.0, 2.0], dtype=torch.float64)
+    points, log_weight = uniform_prior_around(torch.tensor([1.0, math.inf], dtype=torch.float64), maximum, 8)
+    torch.testing.assert_close(log_weight.exp().sum(-1), torch.ones(2, dtype=torch.float64))
+    assert (points < 2).all()
+    far, far_weight = uniform_prior_around(torch.tensor([1e-3, 1e-3], dtype=torch.float64), maximum, 8)
+    assert far.max() < 1e-3 * math.exp(4)
+    torch.testing.assert_close(far_weight.exp().sum(-1), 1e-3 * math.exp(4) / maximum)

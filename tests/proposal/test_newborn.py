@@ -120,19 +120,20 @@ def test_evidence_agrees_with_quadrature(bearing):
     runs = 12
     data = stack([measure(1, bearing)] * runs)
     picks, noise = find(data, list(range(runs)), free=1)
-    prior = uniform_prior(torch.full((runs, 2), 9.0, dtype=F64), 16)
+    limit = torch.full((runs, 2), 9.0, dtype=F64)
     streams = RandomStreams.from_seeds(range(50, 50 + runs), (runs,), F64)
     draws = Draws(streams.normal(1, 4, 128, 1), streams.normal(1, 500, 2))
     signal = torch.zeros(runs, 2, 8, 8, dtype=torch.complex128)
-    new, response = propose_newborn(FIELD, REGION, data, signal, picks, noise, prior, ODDS, draws)
+    new, response = propose_newborn(FIELD, REGION, data, signal, picks, noise, limit, 16, ODDS, draws)
     whitener = whiten(data, mask_covariance(signal, noise.mean, data.present))
-    message = state_message(whitener, response[:, 0], *prior)
+    message = state_message(whitener, response[:, 0], new.power[:, 0], new.log_power_weight[:, 0])
+    dense = uniform_prior(limit[0], 400)
     found = (new.log_weight[:, 0] + message).logsumexp(-1)
     for b in range(runs):
         centre = picks.position[b, 0, 0].clamp(-69.0, 69.0)
         grid = centre - 1 + 2 * (torch.arange(2001, dtype=F64) + 0.5) / 2001
         one = type(whitener)(*(t[b] for t in whitener))
-        expected = state_message(one, respond(FIELD, grid[:, None]), *(t[b] for t in prior))
+        expected = state_message(one, respond(FIELD, grid[:, None]), *dense)
         found[b] -= expected.logsumexp(-1) - math.log(2001)
     assert (found.exp() - 1).abs().max() < 0.2
     assert found.exp().mean().item() == pytest.approx(1, abs=0.04)
@@ -145,16 +146,16 @@ def test_evidence_agrees_with_quadrature(bearing):
 def test_particles_sit_where_the_source_is():
     data = stack([measure(1, -31.3, 14.6)])
     picks, noise = find(data, [1])
-    prior = uniform_prior(torch.full((1, 2), 9.0, dtype=F64), 16)
+    limit = torch.full((1, 2), 9.0, dtype=F64)
     streams = RandomStreams.from_seeds([1], (1,), F64)
     draws = Draws(streams.normal(PICKS, 4, 128, 1), streams.normal(PICKS, 500, 2))
     signal = torch.zeros(1, 2, 8, 8, dtype=torch.complex128)
-    new, response = propose_newborn(FIELD, REGION, data, signal, picks, noise, prior, ODDS, draws)
+    new, response = propose_newborn(FIELD, REGION, data, signal, picks, noise, limit, 16, ODDS, draws)
     assert new.state.shape == (1, 2, 500, 2)
     for q in range(2):
         outer = picks.power[0, 1 - q][:, None, None] * picks.moment[0, 1 - q]
         whitener = whiten(data.at(0), mask_covariance(outer, noise.mean[0], data.present[0]))
-        message = state_message(whitener, response[0, q], *(t[0] for t in prior))
+        message = state_message(whitener, response[0, q], new.power[0, q], new.log_power_weight[0, q])
         log_weight, _ = normalise(new.log_weight[0, q] + message)
         mean, covariance = mean_and_covariance(new.state[0, q], log_weight)
         nearest = min((-31.3, 14.6), key=lambda b: abs(b - mean[0].item()))

@@ -123,7 +123,7 @@ def draw_configurations(
         proposals.append(labelling._replace(log_odds=doubtful))
     level = invert_cumulative(noise.log_weight, draws.noise)
     density = torch.stack([log_probability(p, exists.bool(), state, power) for p in proposals], -1)
-    share = torch.stack([(component == c).sum(-1) / size for c in range(len(labellings))], -1)
+    share = torch.stack([(component == c).sum(-1).to(density) / size for c in range(len(labellings))], -1)
     log_proposal = torch.logsumexp(density + share.log().unsqueeze(-2), -1)
     log_proposal = log_proposal + noise.log_weight.gather(-1, level).sum(-2)
     return Configurations(exists.bool(), state, power, level, log_proposal)

@@ -55,6 +55,32 @@ def uniform_prior(maximum: Tensor, num_points: int, decades: float = 7.0) -> tup
     return points, torch.log_softmax(log_value, -1).expand_as(points)
 
 
+def uniform_prior_around(
+    scale: Tensor, maximum: Tensor, num_points: int, reach: tuple[float, float] = (3.0, 4.0)
+) -> tuple[Tensor, Tensor]:
+    """Support points of the uniform density on [0, maximum], dense where a likelihood is known to lie.
+
+    Points are spaced evenly in the logarithm. What is below them counts with the lowest one; what is above
+    is left out, so the weights may add up to less than one.
+
+    Args:
+        scale: `(*batch,)` positive, where the likelihood lies.
+        maximum: `(*batch,)` positive.
+        num_points: G.
+        reach: how far the points go below and above the scale, natural logarithm.
+
+    Returns:
+        Support points and log-weights `(*batch, G)`; each point stands for its logarithmic bin.
+    """
+    log_scale = torch.minimum(scale, maximum).log()[..., None]
+    log_top = torch.minimum(log_scale + reach[1], maximum.log()[..., None])
+    along = torch.linspace(0, 1, num_points + 1, dtype=maximum.dtype, device=maximum.device)
+    log_edge = torch.lerp(log_scale - reach[0], log_top, along)
+    points = (0.5 * (log_edge[..., 1:] + log_edge[..., :-1])).exp()
+    edge = torch.cat([torch.zeros_like(log_top), log_edge[..., 1:].exp()], -1)
+    return points, (edge.diff(dim=-1) / maximum[..., None]).log()
+
+
 @lru_cache
 def _gauss_hermite(num_points: int) -> tuple[Tensor, Tensor]:
     node, weight = np.polynomial.hermite_e.hermegauss(num_points)

@@ -20,6 +20,7 @@ from torchdt.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics,
 from torchdt.detect.dictionary import Dictionary, likelihood_surface
 from torchdt.field.base import Field
 from torchdt.field.mismatch import DiffuseField
+from torchdt.model.gamma_chain import uniform_prior_around
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask_covariance
 from torchdt.model.region import Region
 from torchdt.particles.adaptive import Box, adapt
@@ -36,6 +37,8 @@ class Picks(NamedTuple):
     Attributes:
         position: `(*batch, Q, d)`.
         power: `(*batch, Q, I)` the best power of each tone; zero where inactive.
+        scale: `(*batch, Q, I)` where the likelihood of the power lies: the best one, or that which drowns in
+            the background; infinite for a tone that is not heard.
         moment: `(*batch, Q, I, M, M)` complex `a a^H`, diffuse part included.
         diffuse: `(*batch, Q, I, M, M)` complex covariance per unit power, None where the model is exact.
         active: `(*batch, Q)` bool.
@@ -43,6 +46,7 @@ class Picks(NamedTuple):
 
     position: Tensor
     power: Tensor
+    scale: Tensor
     moment: Tensor
     diffuse: Tensor | None
     active: Tensor
@@ -80,7 +84,7 @@ def search(
     # While the noise level is unknown, sources that are many and equal each pass for noise: look further.
     unsettled = _log_variance(noise).amax(-1) > UNSETTLED
     alive = torch.ones_like(free, dtype=torch.bool)
-    found: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
+    found: list[tuple[Tensor, ...]] = []
     scattered: list[Tensor] = []
     gains = [_log_likelihood(measurement, signal, belief)]
     for pick in range(rounds.shape[-4]):
@@ -95,6 +99,7 @@ def search(
         response = respond(field, position[..., None, :])
         s, q = statistics(whitener, response)
         _, power = peak_log_likelihood_ratio(whitener.num_snapshots, s[..., 0], q[..., 0])
+        scale = torch.maximum(power, 1 / s[..., 0])
         power = torch.where(alive[..., None], power, 0.0)
         moment = response.mT @ response.conj()
         if isinstance(field, DiffuseField):
@@ -103,11 +108,11 @@ def search(
         signal = signal + power[..., None, None] * moment
         belief = update_noise(noise, measurement, signal)
         gains.append(_log_likelihood(measurement, signal, belief))
-        found.append((position, power, moment, alive))
+        found.append((position, power, scale, moment, alive))
     if not found:
         return None, belief
     dim = free.ndim
-    position, power, moment, alive = (torch.stack(parts, dim) for parts in zip(*found, strict=True))
+    position, power, scale, moment, alive = (torch.stack(parts, dim) for parts in zip(*found, strict=True))
     # Together the picks up to the last one kept are worth the threshold each.
     gain = torch.stack(gains[1:], dim) - gains[0][..., None]
     rank = torch.arange(1, len(found) + 1, dtype=gain.dtype, device=gain.device)
@@ -117,7 +122,8 @@ def search(
     if bool((alive & ~active).any()):
         belief = update_noise(noise, measurement, known + signal_covariance(power, moment))
     diffuse = torch.stack(scattered, dim) if scattered else None
-    return (Picks(position, power, moment, diffuse, active) if bool(active.any()) else None), belief
+    picks = Picks(position, power, scale, moment, diffuse, active)
+    return (picks if bool(active.any()) else None), belief
 
 
 def _log_variance(noise: Noise) -> Tensor:
@@ -150,7 +156,8 @@ def propose_newborn(
     signal: Tensor,
     picks: Picks,
     noise: Noise,
-    power_prior: tuple[Tensor, Tensor],
+    power_max: Tensor,
+    power_points: int,
     log_odds: Tensor,
     draws: Draws,
     *,
@@ -164,7 +171,8 @@ def propose_newborn(
     Args:
         signal: `(*batch, I, M, M)` covariance of the known objects.
         noise: noise belief with known objects and picks explained.
-        power_prior: support points and log-weights `(*batch, I, G)`.
+        power_max: `(*batch, I)` upper limit of the uniform prior of the powers.
+        power_points: number G of their support points.
         log_odds: `(*batch,)`, prior log-odds of an object in one cell.
         draws: at least as many as picks.
         adapted: fit the proposal to the likelihood; else particles are drawn from the prior.
@@ -175,7 +183,8 @@ def propose_newborn(
     """
     num = picks.active.shape[-1]
     rounds, final = draws.rounds[..., :num, :, :, :], draws.final[..., :num, :, :]
-    power, log_power_weight = (t.unsqueeze(-3).expand(*picks.power.shape, -1) for t in power_prior)
+    maximum = power_max.unsqueeze(-2).expand_as(picks.scale)
+    power, log_power_weight = uniform_prior_around(picks.scale, maximum, power_points)
     others = signal.unsqueeze(-4) + signal_without_each(picks.power, picks.moment)
     if picks.diffuse is not None:
         others = others + picks.power[..., None, None] * picks.diffuse

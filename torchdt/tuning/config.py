@@ -36,7 +36,7 @@ class TuningConfig:
 
     method: str = "gradient"
     steps: int = 60
-    learning_rate: float = 0.1
+    learning_rate: float = 0.2
     clip: float = 1.0
     heldout_every: int = 5
     patience: int = 4
