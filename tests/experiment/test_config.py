@@ -12,8 +12,9 @@ from torchdt.experiment.fields import build_field
 from torchdt.scenario.simulate import source_track
 
 CONF = Path(torchdt.conf.__file__).parent
-# The options of tuning belong to another job.
-OPTIONS = sorted((p.parent.name, p.stem) for p in CONF.glob("*/*.yaml") if p.parent.name != "tuning")
+# Those of tuning belong to another job.
+OTHER = ("tuning", "hyperparameters")
+OPTIONS = sorted((p.parent.name, p.stem) for p in CONF.glob("*/*.yaml") if p.parent.name not in OTHER)
 
 
 def read_table(path):

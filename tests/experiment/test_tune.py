@@ -19,9 +19,11 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from torchdt.errors import InputError
 from torchdt.experiment.build import simulate
 from torchdt.experiment.settings import settings_of
+from torchdt.experiment.tunable import build_problem, gather
 from torchdt.scenario.npz import write_npz
 from torchdt.tuning.tracker import TrackerObjective
 
+SCRIPT = load("tune")  # it registers the schema of its configuration
 LINE = ("scenario=line_array", *SMALL, "train_seeds=[0,1]", "heldout_seeds=[7]")
 SHORT = ("tuning.steps=4", "tuning.heldout_every=2", "tuning.gospa_every=2", "tuning.slice_points=2")
 NAMES = ("power_shape", "noise_shape", "survival", "birth_mean")
@@ -67,7 +69,7 @@ class Outcome:
 def tune(directory, *overrides, small=True):
     size = (*LINE, *SHORT) if small else ()
     overrides = (*size, f"hydra.run.dir={directory}", *overrides)
-    return Outcome(directory, *call(load("tune"), *overrides))
+    return Outcome(directory, *call(SCRIPT, *overrides))
 
 
 def fails(outcome, *words):
@@ -350,6 +352,19 @@ def test_every_tuning_option_composes():
             settings = settings_of(compose("tune", overrides=[f"tuning={option}"]))
         assert settings.tuning.method == option
         assert set(settings.hyperparameters) == set(NAMES)
+
+
+@pytest.mark.parametrize("option", ["robustness", "environment"])
+def test_every_choice_of_hyperparameters_starts(option):
+    """In the scenario that it is for, every entry has a start that its support allows."""
+    overrides = [f"hyperparameters={option}", "scenario=mismatch", "calibration=none", "scenario.num_steps=2"]
+    with initialize_config_module("torchdt.conf", version_base="1.3"):
+        settings = settings_of(compose("tune", overrides=[*overrides, "field.freqs=[49,79]"]))
+    problem = build_problem(settings, settings.hyperparameters, [gather(settings, [0], [], False)])
+    values = problem.hyperparameters()
+    assert set(values) == set(settings.hyperparameters)
+    assert values["mismatch_share"].shape == (2,)
+    assert problem.hyperparameters.log_prior().isfinite()
 
 
 def test_settings_survive_a_change():
