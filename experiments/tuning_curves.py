@@ -1,4 +1,4 @@
-"""Compare tuning runs: `python experiments/tuning_curves.py gradient=RUN tpe=RUN grid=RUN --figure curves.png`."""
+"""Compare tuning runs: `python experiments/tuning_curves.py gradient=RUN grid=RUN --figure=curves.png`."""
 
 import argparse
 

@@ -35,3 +35,51 @@ def test_moments():
 def test_wrong_number_of_generators_is_named(seeds, shape):
     with pytest.raises(ValueError, match=f"generators: found {len(seeds)}, expected"):
         RandomStreams.from_seeds(seeds, shape, torch.float32)
+
+
+def streams() -> RandomStreams:
+    found = RandomStreams.from_seeds([3, 1], (2,), torch.float64)
+    found.normal(5)
+    return found
+
+
+def test_a_copy_goes_on_from_a_snapshot_and_leaves_the_streams_alone():
+    first = streams()
+    snapshot = first.snapshot()
+    expected = [first.normal(3, 2), first.uniform(4)]
+    for _ in range(2):
+        copy = first.at(snapshot)
+        assert torch.equal(copy.normal(3, 2), expected[0])
+        assert torch.equal(copy.uniform(4), expected[1])
+        assert (copy.batch_shape, copy.dtype) == (first.batch_shape, first.dtype)
+    first.at(snapshot).normal(1)
+    undisturbed = streams()
+    undisturbed.normal(3, 2)
+    undisturbed.uniform(4)
+    assert torch.equal(first.normal(7), undisturbed.normal(7))
+
+
+def test_a_snapshot_does_not_move_with_the_streams():
+    first = streams()
+    snapshot = first.snapshot()
+    before = [state.clone() for state in snapshot]
+    first.normal(1000)
+    assert all(torch.equal(a, b) for a, b in zip(snapshot, before, strict=True))
+
+
+def test_skipping_to_where_a_copy_ended():
+    first, undisturbed = streams(), streams()
+    copy = first.at(first.snapshot())
+    copy.normal(11)
+    undisturbed.normal(11)
+    generators = list(first.generators)
+    first.skip_to(copy.snapshot())
+    assert torch.equal(first.uniform(6), undisturbed.uniform(6))
+    assert all(a is b for a, b in zip(first.generators, generators, strict=True))
+
+
+def test_a_snapshot_of_another_batch_is_refused():
+    other = RandomStreams.from_seeds([1, 2, 3], (3,), torch.float64).snapshot()
+    for go_on in (streams().at, streams().skip_to):
+        with pytest.raises(ValueError, match="zip"):
+            go_on(other)

@@ -35,7 +35,8 @@ def log_likelihood(
         streams: random numbers of batch `(*batch,)`; the same ones make two evaluations comparable.
         block: steps per block; None keeps everything.
         truncate: steps after which the gradient through the state is cut (truncated back-propagation, biased:
-            what a step owes to earlier segments is lost); None never cuts. Blocks end at cuts too.
+            what a step owes to earlier segments is lost, the noise transition into it included); None never
+            cuts. Blocks end at cuts too.
 
     Returns:
         `(*batch, K)` natural logarithm, in squared units of the data that `measurement` holds.

@@ -54,3 +54,36 @@ def test_batch_equals_single():
     for n, (one_signal, one_snapshots, one_prior) in enumerate(scenes):
         alone = update_noise(one_prior, from_snapshots(one_snapshots), one_signal)
         torch.testing.assert_close(batch.log_weight[n], alone.log_weight, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("missing", [[], [0, 4]])
+@pytest.mark.parametrize("floor", [0.0, 2.0])
+def test_gradient_where_eigenvalues_coincide(floor, missing):
+    """Two objects on six sensors leave four more eigenvalues: zero, or the floor of a diffuse part, which may
+    also bend in a direction of full rank."""
+    rng = torch.Generator().manual_seed(3)
+    _, snapshots, prior = scene(0)
+    snapshots[..., missing] = torch.nan
+    measurement = from_snapshots(snapshots)
+    response, direction = complex_normal(rng, 2, TONES, SENSORS), complex_normal(rng, TONES, SENSORS, SENSORS)
+    strength = torch.tensor([[3.0, 1.0], [2.0, 4.0]], dtype=torch.float64)
+    shift = torch.zeros(TONES, dtype=torch.float64)
+    inputs = (strength, response, shift, prior.variance[:, 2:6], prior.log_weight[:, 2:6])
+    inputs = tuple(t.clone().requires_grad_() for t in inputs)
+
+    def log_weight(strength, response, shift, variance, log_weight):
+        signal = torch.einsum("ni,nim,nik->imk", strength.to(response), response, response.conj())
+        diffuse = floor * (torch.eye(SENSORS) + shift[:, None, None] * (direction + direction.mH))
+        return update_noise(Noise(variance, log_weight), measurement, signal + diffuse).log_weight
+
+    assert torch.autograd.gradcheck(log_weight, inputs)
+    slopes = torch.autograd.grad(log_weight(*inputs)[:, 0].sum(), inputs)
+    assert [bool(g.abs().max() > 1e-3) for g in slopes] == [True, True, floor > 0, True, True]
+
+
+def test_value_with_a_gradient_is_the_value_without():
+    signal, snapshots, prior = scene(3)
+    measurement = from_snapshots(snapshots)
+    found = update_noise(prior, measurement, signal.clone().requires_grad_()).log_weight
+    assert found.requires_grad
+    torch.testing.assert_close(found.detach(), update_noise(prior, measurement, signal).log_weight)

@@ -5,29 +5,11 @@ import pytest
 import torch
 from oracles.arrays import direct_log_likelihood
 from oracles.enumeration import enumerate_pair
-from oracles.scenes import Scene, make_scene
+from oracles.scenes import LEFT_RIGHT, SAME, TOUCHING, UNAMBIGUOUS, Scene, make_scene, unambiguous
 
 from torchdt.bp.schedule import as_belief, put, strongest_first, take, update
 from torchdt.model.measurement import Measurement
 from torchdt.state import Noise, Objects
-
-LEFT_RIGHT = ((-40.0, 0.0), (5.0, 45.0))
-OVERLAPPING = ((-30.0, 10.0), (0.0, 30.0))
-TOUCHING = ((-30.0, -10.0), (-9.5, 20.0))
-SAME = ((-30.0, 30.0), (-30.0, 30.0))
-
-# Unambiguous: sources at least a beamwidth (14 degrees) apart, and every number of objects that has an
-# exact probability above 0.05 is the true one. Truth bearings, powers, regions.
-UNAMBIGUOUS = {
-    "nothing there": ((), (), LEFT_RIGHT),
-    "one of two": ((-20.0,), (4.0,), LEFT_RIGHT),
-    "separated": ((-20.0, 25.0), (4.0, 4.0), LEFT_RIGHT),
-    "partly overlapping regions": ((-10.0, 18.0), (4.0, 4.0), OVERLAPPING),
-    "beside a strong source": ((-12.0,), (16.0,), TOUCHING),
-    "weak beside strong": ((-12.0, 10.0), (16.0, 1.0), TOUCHING),
-    "one in the same region": ((5.0,), (4.0,), SAME),
-    "two in the same region": ((-15.0, 12.0), (8.0, 2.0), SAME),
-}
 
 
 def variation(a: np.ndarray, b: np.ndarray) -> float:
@@ -45,9 +27,8 @@ def infer(scene: Scene, sweeps: int = 3, schedule: str = "sequential"):
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("case", UNAMBIGUOUS)
 def test_sequential_matches_exact_enumeration(case, seed):
-    truth, power, regions = UNAMBIGUOUS[case]
-    scene = make_scene(seed, truth, power, regions)
-    exact = enumerate_pair(scene.problem)
+    truth, _, regions = UNAMBIGUOUS[case]
+    scene, exact = unambiguous(case, seed)
     existence, state = infer(scene)
     assert abs(exact.existence.sum() - len(truth)) < 0.05, "the scene is ambiguous"
     if regions is SAME:

@@ -14,7 +14,6 @@ from torchdt.model.hyperparameters import (
     HyperparameterSettings,
     PriorSettings,
 )
-from torchdt.model.parameters import Parameters, with_values
 
 F64 = torch.float64
 DEFAULTS = {
@@ -251,31 +250,3 @@ def test_a_default_outside_the_support_is_named():
             {"mismatch_share": HyperparameterSettings()},
             {"mismatch_share": torch.tensor([0.0, 0.1], dtype=F64)},
         )
-
-
-def parameters(dtype: torch.dtype) -> Parameters:
-    return Parameters(**{name: torch.as_tensor(DEFAULTS[name], dtype=dtype) for name in Parameters._fields})
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, F64])
-def test_values_enter_the_parameters_with_their_gradient(dtype):
-    old, module = parameters(dtype), of_all()
-    with torch.no_grad():
-        for raw in module.parameters():
-            raw.add_(0.5)
-    values = module()
-    assert {"tilt_deg", "mismatch_share"} <= set(values)
-    new = with_values(old, values)
-    for name, value in new._asdict().items():
-        assert value.dtype == dtype
-        torch.testing.assert_close(value, values[name].to(dtype))
-    (found,) = torch.autograd.grad(new.driving_variance.sum(), [module.get_parameter("driving_variance")])
-    torch.testing.assert_close(found, values["driving_variance"].detach(), rtol=1e-6, atol=0)
-
-
-def test_parameters_without_a_value_stay():
-    old = parameters(F64)
-    per_sequence = torch.tensor([0.5, 0.6, 0.7])
-    new = with_values(old, {"survival": per_sequence})
-    torch.testing.assert_close(new.survival, per_sequence.double())
-    assert new._replace(survival=old.survival) == old

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from torchdt.model.kinematics import drop_outside, predict_log_odds, predict_state
+from torchdt.model.kinematics import drop_outside, predict_log_odds, predict_moments, predict_state
 from torchdt.model.region import Coordinate, Region
 
 
@@ -18,6 +18,25 @@ def test_prediction_equals_the_matrices():
         "ij,...j->...i", W, driving * variance.sqrt()
     )
     torch.testing.assert_close(predict_state(state, driving * variance.sqrt(), T), expected)
+
+
+@pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
+@pytest.mark.parametrize("shared", [True, False])
+def test_moments_are_those_of_predicted_states(batch, shared):
+    """Cubature: 12 points of state and driving noise with exactly their moments, each moved by itself."""
+    rng, T = torch.Generator().manual_seed(2), 4.096
+    mean = torch.randn(*batch, 4, generator=rng).double()
+    root = torch.randn(*batch, 4, 4, generator=rng).double()
+    variance = torch.rand(*(() if shared else batch), 2, generator=rng).double() + 0.1
+    joint = torch.zeros(*batch, 6, 6, dtype=torch.float64)
+    joint[..., :4, :4] = torch.linalg.cholesky(root @ root.mT)
+    joint[..., 4:, 4:] = torch.diag_embed(variance.sqrt())
+    offset = 6**0.5 * torch.cat([joint, -joint], -1).mT  # (*batch, 12, 6)
+    moved = predict_state(mean[..., None, :] + offset[..., :4], offset[..., 4:], T)
+    centred = moved - moved.mean(-2, keepdim=True)
+    found = predict_moments(mean, root @ root.mT, T, variance)
+    torch.testing.assert_close(found[0], moved.mean(-2))
+    torch.testing.assert_close(found[1], centred.mT @ centred / 12)
 
 
 def test_existence_equals_the_product_of_probabilities():

@@ -1,16 +1,36 @@
 """Two-object scenes on a line array, small enough to enumerate."""
 
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 import torch
-from oracles.enumeration import Problem
+from oracles.enumeration import Marginals, Problem, enumerate_pair
 from torch import Tensor
 
 from torchdt.model.measurement import Measurement, from_snapshots
 from torchdt.state import Noise, Objects
 
 NUM_SENSORS, NUM_TONES, NUM_SNAPSHOTS, NUM_STATES = 8, 7, 3, 120
+
+LEFT_RIGHT = ((-40.0, 0.0), (5.0, 45.0))
+OVERLAPPING = ((-30.0, 10.0), (0.0, 30.0))
+TOUCHING = ((-30.0, -10.0), (-9.5, 20.0))
+SAME = ((-30.0, 30.0), (-30.0, 30.0))
+
+# Unambiguous: sources at least a beamwidth (14 degrees) apart, and every number of objects that has an
+# exact probability above 0.05 is the true one. Truth bearings, powers, regions.
+UNAMBIGUOUS = {
+    "nothing there": ((), (), LEFT_RIGHT),
+    "one of two": ((-20.0,), (4.0,), LEFT_RIGHT),
+    "separated": ((-20.0, 25.0), (4.0, 4.0), LEFT_RIGHT),
+    "partly overlapping regions": ((-10.0, 18.0), (4.0, 4.0), OVERLAPPING),
+    "beside a strong source": ((-12.0,), (16.0,), TOUCHING),
+    "weak beside strong": ((-12.0, 10.0), (16.0, 1.0), TOUCHING),
+    "one in the same region": ((5.0,), (4.0,), SAME),
+    "two in the same region": ((-15.0, 12.0), (8.0, 2.0), SAME),
+}
 
 
 @dataclass(frozen=True)
@@ -88,3 +108,17 @@ def make_scene(
         Noise(torch.tensor(noise), torch.tensor(log_noise)),
         from_snapshots(torch.tensor(z)),
     )
+
+
+@cache
+def unambiguous(case: str, seed: int) -> tuple[Scene, Marginals]:
+    """One of the `UNAMBIGUOUS` scenes and its exact answer, which several tests share."""
+    scene = make_scene(seed, *UNAMBIGUOUS[case])
+    return scene, enumerate_pair(scene.problem)
+
+
+def repeat(tree: Any, runs: int) -> Any:
+    """A (nested) tuple of tensors with a leading dimension of equal copies."""
+    if isinstance(tree, Tensor):
+        return tree.expand(runs, *tree.shape)
+    return tree if tree is None else type(tree)(*(repeat(t, runs) for t in tree))

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from torchdt.particles.resampling import (
+    invert_cumulative,
     roughen,
     scale_tril,
     stop_gradient_weights,
@@ -57,6 +58,35 @@ def test_particles_of_zero_weight_are_never_drawn(particles):
         indices = systematic_indices(log_weight, torch.tensor(offset))
         assert indices.min() >= 2
         assert indices.max() < particles - 2
+
+
+def test_levels_fall_into_the_interval_of_their_particle():
+    """Cumulative weights 0.25, 0.25, 0.75, 1: a level at an edge belongs to the next one with a weight."""
+    log_weight = torch.tensor([0.25, 0.0, 0.5, 0.25], dtype=torch.float64).log()
+    points = torch.tensor([0.0, 0.2499, 0.25, 0.5, 0.7499, 0.75, 0.9999, 1.0], dtype=torch.float64)
+    assert invert_cumulative(log_weight, points).tolist() == [0, 0, 2, 2, 2, 3, 3, 3]
+    backwards = invert_cumulative(log_weight.expand(2, 3, -1), points.flip(0).expand(2, 3, -1))
+    assert backwards[1, 2].tolist() == [3, 3, 3, 2, 2, 2, 0, 0]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_shares_of_a_fine_grid_of_levels_are_the_weights(dtype):
+    """Any number of levels, in any order; a share is off by one level at most."""
+    weight = random_weight(8, 2, 3, 30).to(dtype)
+    order = torch.randperm(5000, generator=torch.Generator().manual_seed(1))
+    points = ((order + 0.5) / 5000).to(dtype).expand(2, 3, -1)
+    indices = invert_cumulative(weight.log(), points)
+    share = counts(indices, 30).to(dtype) / 5000
+    torch.testing.assert_close(share, weight, rtol=0, atol=1.01 / 5000)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_highest_level_finds_the_last_particle_with_a_weight(dtype):
+    """Also where rounding leaves the sum of many weights beside one."""
+    log_weight = torch.full((100_000,), -torch.inf, dtype=dtype)
+    log_weight[7:-3] = -math.log(100_000 - 10)
+    ends = invert_cumulative(log_weight, torch.tensor([0.0, 1.0], dtype=dtype))
+    assert ends.tolist() == [7, 100_000 - 4]
 
 
 def test_no_gradient_through_the_ancestors():

@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import pytest
@@ -74,7 +75,9 @@ def test_prior_pulls_the_training_objective_alone(make, quadratic):
 def test_best_is_that_of_the_heldout_set(make, quadratic):
     """Training pulls on beyond the held-out optimum; the ascent ends there."""
     hyperparameters = make("survival")
-    states = run(hyperparameters, quadratic(shift=1.0), quadratic(), steps=400, heldout_every=2, patience=3)
+    slow = {"learning_rate": 0.1, "decay": 1.0}
+    train = quadratic(shift=1.0)
+    states = run(hyperparameters, train, quadratic(), steps=400, heldout_every=2, patience=3, **slow)
     last = states[-1]
     assert len(states) < 400
     assert (last.finished, last.stale) == (True, 3)
@@ -83,6 +86,16 @@ def test_best_is_that_of_the_heldout_set(make, quadratic):
     heldout = [r.heldout for r in last.records if r.heldout is not None]
     assert last.best_heldout == max(heldout)
     assert all(value < last.best_heldout for value in heldout[-3:])
+
+
+def test_learning_rate_falls_geometrically(make, quadratic):
+    """The first steps of Adam, on a gradient that hardly changes, are as long as the learning rate."""
+    hyperparameters = make("survival")
+    far = quadratic(shift=100.0)
+    records = run(hyperparameters, far, far, steps=4, learning_rate=0.1, decay=0.0625)[-1].records
+    logit = [math.log(r.values["survival"] / (1 - r.values["survival"])) for r in records]
+    lengths = [abs(after - before) for before, after in itertools.pairwise(logit)]
+    assert lengths == pytest.approx([0.1, 0.05, 0.025, 0.0125], rel=1e-2)
 
 
 @pytest.mark.parametrize("failure", ["nan", "raise"])

@@ -62,8 +62,10 @@ def simulate(settings: TrackSettings) -> Recording:
     nominal = None if not scenario.mismatch.matched else build_field(target, torch.float64, "cpu")
     for seed in range(settings.seed, settings.seed + settings.runs):
         stream = generator(seed, "simulation")
+        shared = scenario.mismatch.seed
+        around = stream if shared is None else generator(shared, "environment")
         field = nominal or build_field(
-            target, torch.float64, "cpu", draw=draw_environment(scenario.mismatch, target, stream)
+            target, torch.float64, "cpu", draw=draw_environment(scenario.mismatch, target, around)
         )
         if scenario.population is None:
             z, position = simulate_snapshots(field, scenario, stream)

@@ -45,7 +45,7 @@ def default_parameters(config: TrackerConfig, region: Region) -> Parameters:
     """
     driving = region.driving_variance
     if config.driving_variance is not None:
-        expected = f"{region.num_coordinates} numbers, one for each coordinate"
+        expected = f"one number for each of {region.num_coordinates} coordinates"
         fits = len(config.driving_variance) == region.num_coordinates
         require(fits, "tracker.driving_variance", config.driving_variance, expected)
         driving = driving.new_tensor(config.driving_variance)

@@ -77,11 +77,13 @@ class MismatchSettings:
         eof_scale: standard deviations per sound-speed EOF coefficient; 0 keeps the nominal profile.
         tilt_deg: smallest and largest magnitude of the array tilt, degrees; the sign is random.
         water_depth_m: smallest and largest magnitude of the change of water depth, m; random sign.
+        seed: of the one environment that all runs share; None draws each run's from its own seed.
     """
 
     eof_scale: float = 0.0
     tilt_deg: list[float] = field(default_factory=lambda: [0.0, 0.0])
     water_depth_m: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    seed: int | None = None
 
     def __post_init__(self) -> None:
         require(self.eof_scale >= 0, "scenario.mismatch.eof_scale", self.eof_scale, "a number from 0 up")

@@ -18,7 +18,8 @@ class TuningConfig:
     Attributes:
         method: `gradient` (Adam), `tpe` (tree-structured Parzen estimator) or `grid`.
         steps: gradient steps, at most.
-        learning_rate: of Adam, in unconstrained units.
+        learning_rate: of Adam at the first step, in unconstrained units.
+        decay: learning rate at the last step over that at the first; it falls geometrically.
         clip: largest norm of the gradient of the log-likelihood per step.
         heldout_every: gradient steps from one held-out evaluation to the next.
         patience: held-out evaluations in a row without improvement after which the ascent ends.
@@ -36,7 +37,8 @@ class TuningConfig:
 
     method: str = "gradient"
     steps: int = 60
-    learning_rate: float = 0.2
+    learning_rate: float = 0.3
+    decay: float = 0.1
     clip: float = 1.0
     heldout_every: int = 5
     patience: int = 4
@@ -58,6 +60,7 @@ class TuningConfig:
             self._require(name, value is None or value >= 1, "a positive integer or null")
         for name in ("learning_rate", "clip", "width"):
             self._require(name, 0 < getattr(self, name) < math.inf, "a positive number")
+        self._require("decay", 0 < self.decay <= 1, "a number above 0, up to 1")
         self._require("slice_points", self.slice_points >= 0, "a number of points from 0 up")
         given = self.method == "gradient" or self.budget_passes is not None
         self._require("budget_passes", given, f"a number of passes for {self.method}")

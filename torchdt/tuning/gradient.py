@@ -60,6 +60,8 @@ def ascend(
             passes += 1
             best, best_heldout, stale = note_heldout(state, raw, held)
         if not last:
+            for group in optimizer.param_groups:
+                group["lr"] = config.learning_rate * config.decay ** (step / config.steps)
             _move(hyperparameters, optimizer, config.clip, raw, good, finite=objective is not None)
         state = TuningState(
             raw=raw_values(hyperparameters),

@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+import torch
+from oracles.line_array import make_region
+
+from torchdt.config import TrackerConfig
+from torchdt.errors import InputError
+from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings
+from torchdt.model.parameters import Parameters, default_parameters, widen, with_values
+from torchdt.model.region import Coordinate, Region
+
+F64 = torch.float64
+VALUES = {
+    "power_shape": 50.0,
+    "noise_shape": 20.0,
+    "survival": 0.9,
+    "birth_mean": 0.1,
+    "driving_variance": [1e-2, 1e-5],
+    "likelihood_power": 0.7,
+}
+TWO = [Coordinate(name, "m", 0, 10, 1, -1, 1, variance) for name, variance in (("x", 1e-2), ("y", 1e-4))]
+
+
+def parameters(dtype: torch.dtype) -> Parameters:
+    return Parameters(**{name: torch.tensor(value, dtype=dtype) for name, value in VALUES.items()})
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, F64])
+def test_defaults_are_those_of_configuration_and_region(dtype):
+    config = TrackerConfig(power_shape=50.0, survival=0.9, likelihood_power=0.5)
+    found = default_parameters(config, Region(TWO, dtype))
+    assert {value.dtype for value in found} == {dtype}
+    expected = {"power_shape": 50.0, "noise_shape": 100.0, "survival": 0.9, "birth_mean": 1e-4}
+    expected |= {"driving_variance": [1e-2, 1e-4], "likelihood_power": 0.5}
+    for name, value in found._asdict().items():
+        torch.testing.assert_close(value, torch.tensor(expected[name], dtype=dtype), rtol=0, atol=0)
+
+
+def test_the_driving_variance_of_the_configuration_comes_first():
+    found = default_parameters(TrackerConfig(driving_variance=[3.0, 4.0]), Region(TWO))
+    assert found.driving_variance.tolist() == [3.0, 4.0]
+
+
+@pytest.mark.parametrize("driving", [[1e-3, 1e-3], [1e-3, 1e-3, 1e-3]])
+def test_another_number_of_driving_variances_is_named(driving):
+    expected = r"'tracker.driving_variance': found \[0.001.*\], expected one number for each of 1 coordinates"
+    with pytest.raises(InputError, match=expected):
+        default_parameters(TrackerConfig(driving_variance=driving), make_region())
+
+
+@pytest.mark.parametrize(("batch", "dims"), [((), 1), ((), 2), ((3,), 1), ((2, 3), 2)])
+def test_widened_values_broadcast_over_what_follows_the_batch(batch, dims):
+    value = torch.randn(batch, generator=torch.Generator().manual_seed(1))
+    wide = widen(value, dims)
+    assert wide.shape == (*batch, *[1] * dims)
+    following = torch.zeros(*batch, *[4] * dims)
+    for at in np.ndindex(*batch):
+        assert (wide + following)[at].eq(value[at]).all()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, F64])
+def test_values_enter_with_their_gradient(dtype):
+    old = parameters(dtype)
+    settings = {name: HyperparameterSettings() for name in VALUES}
+    defaults = old._asdict() | {"tilt_deg": 0.5}
+    module = Hyperparameters(settings | {"tilt_deg": HyperparameterSettings()}, defaults)
+    with torch.no_grad():
+        for raw in module.parameters():
+            raw.add_(0.5)
+    values = module()
+    assert "tilt_deg" in values
+    new = with_values(old, values)
+    for name, value in new._asdict().items():
+        assert value.dtype == dtype
+        torch.testing.assert_close(value, values[name].to(dtype))
+    (found,) = torch.autograd.grad(new.driving_variance.sum(), [module.get_parameter("driving_variance")])
+    torch.testing.assert_close(found, values["driving_variance"].detach(), rtol=1e-6, atol=0)
+
+
+def test_parameters_without_a_value_stay():
+    old = parameters(F64)
+    per_sequence = torch.tensor([0.5, 0.6, 0.7])
+    new = with_values(old, {"survival": per_sequence})
+    torch.testing.assert_close(new.survival, per_sequence.double())
+    assert new._replace(survival=old.survival) == old
