@@ -114,3 +114,15 @@ def test_uniform_prior_around_covers_what_is_below_and_stops_at_the_maximum():
     far, far_weight = uniform_prior_around(torch.tensor([1e-3, 1e-3], dtype=torch.float64), maximum, 8)
     assert far.max() < 1e-3 * math.exp(4)
     torch.testing.assert_close(far_weight.exp().sum(-1), 1e-3 * math.exp(4) / maximum)
+
+
+def test_tracking_in_inference_mode_does_not_spoil_a_later_gradient():
+    """Both use one table of nodes; 21 points that no other test uses."""
+    values = torch.rand(21, dtype=torch.float64) + 0.5
+    log_weight = torch.full((21,), -math.log(21), dtype=torch.float64)
+    with torch.inference_mode():
+        predict_chain(values, log_weight, 100.0)
+    shape = torch.tensor(100.0, dtype=torch.float64, requires_grad=True)
+    predict_chain(values, log_weight, shape)[0].sum().backward()
+    assert shape.grad is not None
+    assert shape.grad.isfinite()

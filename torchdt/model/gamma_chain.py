@@ -11,6 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from torchdt.state import weighted_mean
@@ -33,7 +34,7 @@ def predict_chain(values: Tensor, log_weight: Tensor, shape: Tensor | float) -> 
     variance = weighted_mean((log_values - mean[..., None]).square(), log_weight)
     mean = mean + torch.special.digamma(c) - c.log()
     variance = variance + torch.special.polygamma(1, c)
-    node, node_log_weight = (t.to(values) for t in _gauss_hermite(values.shape[-1]))
+    node, node_log_weight = (values.new_tensor(a) for a in _gauss_hermite(values.shape[-1]))
     predicted = torch.exp(mean[..., None] + variance.sqrt()[..., None] * node)
     return predicted, node_log_weight.expand_as(predicted)
 
@@ -82,6 +83,7 @@ def uniform_prior_around(
 
 
 @lru_cache
-def _gauss_hermite(num_points: int) -> tuple[Tensor, Tensor]:
+def _gauss_hermite(num_points: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    # Arrays, not tensors: those made in inference mode could not be used for a gradient later.
     node, weight = np.polynomial.hermite_e.hermegauss(num_points)
-    return torch.from_numpy(node), torch.from_numpy(np.log(weight) - 0.5 * math.log(2 * math.pi))
+    return node, np.log(weight) - 0.5 * math.log(2 * math.pi)
