@@ -45,7 +45,7 @@ def test_jobs_are_found():
 
 @pytest.mark.parametrize("job", JOBS, ids=" ".join)
 def test_overrides_compose(job):
-    overrides = [word for word in job[2:] if word != "-m"]
+    overrides = [word for word in job[2:] if not word.startswith("-")]
     if "-m" in job:
         overrides = [word.partition(",")[0] for word in overrides]
     with initialize_config_module("torchdt.conf", version_base="1.3"):
