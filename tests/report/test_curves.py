@@ -10,13 +10,13 @@ def runs(tmp_path):
     """Two tables of held-out values; steps without one stay empty."""
     for name, rows in (("fast", "0,-3.0,4\n1,,7\n2,-1.0,11\n3,-2.0,15\n"), ("slow", "0,-3.0,2\n1,-1.5,40\n")):
         (tmp_path / name).mkdir()
-        (tmp_path / name / "tuning.csv").write_text("step,heldout,passes\n" + rows)
+        (tmp_path / name / "tuning.csv").write_text("step,heldout,passes\n" + rows + "9,,50\n")
     return tmp_path
 
 
 def test_curve_is_the_best_so_far(runs):
     curve = read_curve(runs / "fast")
-    assert curve == Curve([4, 11, 15], [-3.0, -1.0, -1.0])
+    assert curve == Curve([4, 11, 15, 50], [-3.0, -1.0, -1.0, -1.0])
     assert [curve.passes_to(value) for value in (-3.5, -1.5, -1.0, -0.5)] == [4, 11, 11, None]
 
 

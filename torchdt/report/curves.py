@@ -14,7 +14,7 @@ from torchdt.report.figures import COLOURS
 
 
 class Curve(NamedTuple):
-    """Best held-out log-likelihood per step so far, whenever it was evaluated.
+    """Best held-out log-likelihood per step so far, whenever it was evaluated, and at the end.
 
     Attributes:
         passes: runs of the filter used, rising; a gradient counts three.
@@ -39,11 +39,12 @@ def read_curve(directory: str | os.PathLike[str]) -> Curve:
     if not path.is_file():
         raise InputError.of_path(path, "no such file", "the table of a tuning run")
     with path.open(newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row.get("heldout")]
-    if not rows:
+        rows = list(csv.DictReader(file))
+    held = [row for row in rows if row.get("heldout")]
+    if not held:
         raise InputError.of_path(path, "no held-out values", "the table of a tuning run")
-    best = accumulate((float(row["heldout"]) for row in rows), max)
-    return Curve([int(row["passes"]) for row in rows], list(best))
+    best = list(accumulate((float(row["heldout"]) for row in held), max))
+    return Curve([int(row["passes"]) for row in (*held, rows[-1])], [*best, best[-1]])
 
 
 def curves_figure(curves: Mapping[str, Curve]) -> Figure:
