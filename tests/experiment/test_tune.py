@@ -24,7 +24,9 @@ from torchdt.scenario.npz import write_npz
 from torchdt.tuning.tracker import TrackerObjective
 
 SCRIPT = load("tune")  # it registers the schema of its configuration
-LINE = ("scenario=line_array", *SMALL, "train_seeds=[0,1]", "heldout_seeds=[7]")
+# Support points as in tracking, so that the two can be compared.
+POINTS = ("tracker.power_points=16", "tracker.noise_points=64")
+LINE = ("scenario=line_array", *SMALL, *POINTS, "train_seeds=[0,1]", "heldout_seeds=[7]")
 SHORT = ("tuning.steps=4", "tuning.heldout_every=2", "tuning.gospa_every=2", "tuning.slice_points=2")
 NAMES = ("power_shape", "noise_shape", "survival", "birth_mean")
 # Ends its own process in the middle of writing the third checkpoint.
@@ -220,7 +222,7 @@ def test_checkpoint_of_another_configuration(run):
     del before[run.directory / "tune.log"]
     other = tune(run.directory, "tuning.learning_rate=0.2")
     assert other.status == 1
-    assert "key 'tuning.learning_rate': found 0.2, expected 0.1, as in" in other.err
+    assert "key 'tuning.learning_rate': found 0.2, expected 0.3, as in" in other.err
     assert {path: path.stat().st_mtime_ns for path in before} == before
 
 
