@@ -7,9 +7,10 @@ from oracles.line_array import make_tracker, simulate
 
 from torchdt.errors import InputError
 from torchdt.history import TrackHistory
+from torchdt.prepare import Prepared, prepare
 from torchdt.scenario.recording import Recording, validate
 from torchdt.tracker import DirectTracker
-from torchdt.tracking import Prepared, derive_seed, generator, prepare, track
+from torchdt.tracking import derive_seed, generator, track
 
 TWO = (((0.0, -40.0), (20.0, -25.0)), ((0.0, 30.0), (20.0, 20.0)))
 

@@ -2,7 +2,6 @@
 
 import copy
 import math
-from collections.abc import Callable
 from typing import NamedTuple, Self
 
 import torch
@@ -25,8 +24,11 @@ from torchdt.model.prior import Priors
 from torchdt.model.region import Region
 from torchdt.placement import Placer
 from torchdt.predict import Predicted, exchangeable, predict
+from torchdt.prepare import Prepared, prepare
 from torchdt.proposal.moved import Draws
+from torchdt.protocol import Tracker
 from torchdt.random import RandomStreams
+from torchdt.scenario.recording import Recording
 from torchdt.slots import Placed
 from torchdt.state import Noise, Objects, TrackerState
 
@@ -48,7 +50,7 @@ class StepDraws(NamedTuple):
     evidence: UniformDraws
 
 
-class DirectTracker:
+class DirectTracker(Tracker[TrackerState]):
     """Tracks a fixed number of potential objects directly from array data.
 
     Everything is differentiable in the parameters of the model and in the field. Searches and fitted
@@ -81,6 +83,10 @@ class DirectTracker:
         other.parameters = parameters
         return other
 
+    def prepare(self, recording: Recording) -> Prepared:
+        """Scale a recording and set its priors, see `prepare`."""
+        return prepare(recording, self.field, self.region, self.config)
+
     def init(self, priors: Priors) -> TrackerState:
         """State before the first step: no objects, noise uniform up to `priors.noise_max`."""
         cfg = self.config
@@ -97,30 +103,6 @@ class DirectTracker:
         )
         noise = Noise(*uniform_prior(priors.noise_max, cfg.noise_points))
         return TrackerState(objects, noise, torch.ones(batch, dtype=torch.int64, device=self._idle.device))
-
-    def run(
-        self,
-        measurement: Measurement,
-        priors: Priors,
-        streams: RandomStreams,
-        on_step: Callable[[int, TrackHistory], None] | None = None,
-    ) -> TrackHistory:
-        """Track whole sequences.
-
-        Args:
-            measurement: statistics of batch `(*batch, K)`.
-            priors: limits of the priors, batch `(*batch,)`.
-            streams: random numbers of batch `(*batch,)`.
-            on_step: called after each step with its index and the estimates of that step.
-        """
-        batch_dims = priors.noise_max.ndim - 1
-        state, steps = self.init(priors), []
-        for k in range(measurement.num_snapshots.shape[batch_dims]):
-            state, estimate = self.step(state, measurement.at(k), priors, streams)
-            steps.append(estimate)
-            if on_step is not None:
-                on_step(k, estimate)
-        return TrackHistory(*(torch.stack(parts, batch_dims) for parts in zip(*steps, strict=True)))
 
     def step(
         self, state: TrackerState, measurement: Measurement, priors: Priors, streams: RandomStreams

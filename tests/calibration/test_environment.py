@@ -4,9 +4,7 @@ import pytest
 import torch
 
 from torchdt.calibration.environment import Calibration, CalibrationConfig, calibrate
-from torchdt.config import TrackerConfig
 from torchdt.errors import InputError
-from torchdt.model.birth import birth_log_odds
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import data_priors
 from torchdt.model.region import Coordinate, Region
@@ -23,10 +21,8 @@ REGION = Region(
 
 def fit(family, measurement: Measurement, seed: int = 0, **config) -> Calibration:
     settings = CalibrationConfig(**({"enabled": True, "steps": 8, "sources": 3} | config))
-    birth_mean = torch.tensor(TrackerConfig().birth_mean)
-    threshold = TrackerConfig().pick_threshold(birth_log_odds(birth_mean, REGION.num_cells))
     stream = torch.Generator().manual_seed(seed)
-    return calibrate(family, REGION, measurement, data_priors(measurement), settings, threshold, stream)
+    return calibrate(family, REGION, measurement, data_priors(measurement), settings, stream)
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,10 @@ from oracles.line_array import SMALL, make_field, make_region, make_tracker, sim
 
 from torchdt.config import TrackerConfig
 from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings
+from torchdt.prepare import prepare
 from torchdt.random import RandomStreams
 from torchdt.scenario.recording import validate
-from torchdt.tracking import derive_seed, prepare
+from torchdt.tracking import derive_seed
 from torchdt.tuning.sequences import stack_recordings
 from torchdt.tuning.tracker import TrackerFamily, TrackerObjective
 

@@ -14,8 +14,20 @@ def response_moment(response: Tensor, log_weight: Tensor) -> Tensor:
     Returns:
         `(*batch, I, M, M)` complex Hermitian.
     """
-    weighted = response * log_weight.exp()[..., None, :, None]
-    return weighted.mT @ response.conj()
+    return weighted_moment(response, log_weight.exp())
+
+
+def weighted_moment(response: Tensor, weight: Tensor) -> Tensor:
+    """`sum_p w_p a_p a_p^H`.
+
+    Args:
+        response: `(*batch, I, P, M)` complex.
+        weight: `(*batch, P)` real.
+
+    Returns:
+        `(*batch, I, M, M)` complex Hermitian.
+    """
+    return (response * weight[..., None, :, None]).mT @ response.conj()
 
 
 def signal_covariance(strength: Tensor, moment: Tensor) -> Tensor:

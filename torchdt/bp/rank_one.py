@@ -62,11 +62,11 @@ def statistics(whitener: Whitener, response: Tensor) -> tuple[Tensor, Tensor]:
     Returns:
         s and q, `(*batch, I, P)` real, s >= 0, q >= 0.
     """
-    num_sensors = response.shape[-1]
     # a^H [L^-H, Sigma^-1 B]; the conjugate moves to the small factor, |.|^2 does not see it.
-    parts = torch.view_as_real(response @ whitener.projection.conj().resolve_conj())
-    projected = (parts * parts).sum(-1)
-    return projected[..., :num_sensors].sum(-1), projected[..., num_sensors:].sum(-1)
+    parts = torch.view_as_real(response @ whitener.projection.conj().resolve_conj()).flatten(-2)
+    s, q = parts.tensor_split([2 * response.shape[-1]], dim=-1)
+    # A norm is one pass over the largest tensor of all; squares and their sum are three.
+    return torch.linalg.vector_norm(s, dim=-1).square(), torch.linalg.vector_norm(q, dim=-1).square()
 
 
 def log_likelihood_ratio(J: Tensor, power: Tensor, s: Tensor, q: Tensor) -> Tensor:

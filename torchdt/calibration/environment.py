@@ -33,6 +33,7 @@ class CalibrationConfig:
         steps: number of time steps used, evenly spread.
         sources: sources per step used, at most.
         passes: of detecting sources in the fitted environment and fitting again.
+        threshold: log-likelihood ratio in nats that a source must reach to be used.
         share: also estimate which share of each tone the fitted environment still does not cover.
         false_alarm: probability of leaving the nominal environment where it is the true one.
         eof_std: prior standard deviation of each sound-speed EOF coefficient.
@@ -43,6 +44,7 @@ class CalibrationConfig:
     steps: int = 24
     sources: int = 3
     passes: int = 2
+    threshold: float = 14.5
     share: bool = True
     false_alarm: float = 1e-5
     eof_std: float = 1.0
@@ -56,6 +58,7 @@ class CalibrationConfig:
             )
         for name in ("eof_std", "tilt_std_deg", "water_depth_std_m"):
             require(getattr(self, name) > 0, f"calibration.{name}", getattr(self, name), "a positive number")
+        require(self.threshold > 0, "calibration.threshold", self.threshold, "a positive number")
         require(0 < self.false_alarm < 1, "calibration.false_alarm", self.false_alarm, "a probability")
 
 
@@ -77,7 +80,6 @@ def calibrate(
     measurement: Measurement,
     priors: Priors,
     config: CalibrationConfig,
-    pick_threshold: Tensor,
     stream: Generator,
 ) -> Calibration:
     """Fit the environment of one recording.
@@ -92,7 +94,6 @@ def calibrate(
         measurement: statistics of batch `(K,)`, complex128.
         priors: without batch.
         config: settings.
-        pick_threshold: log-likelihood ratio a source must reach.
         stream: random numbers for refining detections.
 
     Returns:
@@ -107,7 +108,7 @@ def calibrate(
     scale = region.cell / 4
     share = torch.zeros_like(priors.noise_max)
     for _ in range(config.passes):
-        picks = _detect(field, region, part, priors, config, pick_threshold, stream)
+        picks = _detect(field, region, part, priors, config, stream)
         if picks is None:
             break
         start = (family.linearise(theta), family.prior_std, theta, picks.position, picks.active, part, scale)
@@ -135,7 +136,6 @@ def _detect(
     measurement: Measurement,
     priors: Priors,
     config: CalibrationConfig,
-    pick_threshold: Tensor,
     stream: Generator,
 ) -> Picks | None:
     """Sources of each step by matching pursuit."""
@@ -156,6 +156,6 @@ def _detect(
             signal,
             noise,
             free,
-            pick_threshold,
+            torch.full((size,), config.threshold, dtype=torch.float64, device=signal.device),
             draws.to(signal.device),
         )[0]

@@ -15,13 +15,12 @@ from torchdt.field.family import WaveguideFamily
 from torchdt.field.mismatch import MismatchedField
 from torchdt.field.stacked import StackedDiffuseField, StackedField
 from torchdt.field.waveguide import NormalModeField
-from torchdt.model.birth import birth_log_odds
 from torchdt.model.measurement import Measurement
-from torchdt.model.parameters import default_parameters
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
+from torchdt.prepare import prepare
 from torchdt.scenario.recording import Recording
-from torchdt.tracking import generator, prepare
+from torchdt.tracking import generator
 
 log = logging.getLogger(__name__)
 
@@ -60,9 +59,7 @@ def calibrated_field(
         waveguide_family(settings, target, dtype) for dtype in (torch.float64, settings.torch_dtype)
     )
     region = Region(region.coordinates, torch.float64, settings.device)
-    prepared = prepare(recording, nominal, region, settings.tracker)
-    birth_mean = default_parameters(settings.tracker, region).birth_mean
-    threshold = settings.tracker.pick_threshold(birth_log_odds(birth_mean, region.num_cells))
+    prepared = prepare(recording, nominal, region)
     names = [f"EOF {i + 1}" for i in range(len(family.prior_std) - 2)] + ["tilt (deg)", "water depth (m)"]
     fields = []
     for run in range(recording.batch_size):
@@ -72,7 +69,6 @@ def calibrated_field(
             Measurement(*(t[run] for t in prepared.measurement)),
             Priors(*(t[run] for t in prepared.priors)),
             config,
-            threshold,
             generator(settings.seed + run, "calibration"),
         )
         found = ", ".join(f"{name} {value:+.2f}" for name, value in zip(names, theta.tolist(), strict=True))
@@ -84,4 +80,5 @@ def calibrated_field(
         fields.append(MismatchedField(field, share.to(settings.torch_dtype)))
     if any(field.share.any() for field in fields):
         return StackedDiffuseField(fields)
-    return StackedField([field.field for field in fields])
+    plain = [field.field for field in fields]
+    return nominal if all(field is nominal for field in plain) else StackedField(plain)

@@ -24,8 +24,8 @@ from torchdt.experiment.settings import settings_of
 from torchdt.experiment.tunable import build_problem, gather
 from torchdt.experiment.tune_settings import TuneSettings
 from torchdt.particles.transition import GRADIENTS
+from torchdt.prepare import prepare
 from torchdt.report.files import manifest, write_json
-from torchdt.tracking import prepare
 from torchdt.tuning.objective import evaluate
 from torchdt.tuning.tracker import TrackerObjective
 

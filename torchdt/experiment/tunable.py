@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchdt.errors import require
-from torchdt.experiment.build import build_region, build_tracker, recorded_target, simulate
+from torchdt.experiment.build import build_region, build_tracking_field, recorded_target, simulate
 from torchdt.experiment.environment import waveguide_family
 from torchdt.experiment.quality import consecutive
 from torchdt.experiment.settings import TrackSettings
@@ -84,15 +84,15 @@ def build_problem(
     for name in of_field:
         expected = "calibration=none: it would fit the same"
         require(not settings.calibration.enabled, f"hyperparameters.{name}", "calibration.enabled", expected)
-    share, config = settings.tracker.mismatch_share, replace(settings.tracker, mismatch_share=None)
-    trackers = [build_tracker(replace(settings, tracker=config), s.recording) for s in sets]
+    share, config = settings.direct.mismatch_share, replace(settings.direct, mismatch_share=None)
+    fields = [build_tracking_field(settings, s.recording) for s in sets]
+    region = build_region(settings, settings.torch_dtype)
     target = recorded_target(settings, sets[0].recording)
-    defaults = _defaults(settings, target, trackers[0].field)
+    defaults = _defaults(settings, target, fields[0])
     hyperparameters = Hyperparameters(chosen, defaults)
     for name in chosen:
         key, expected = f"hyperparameters.{name}", f"one of {sorted(defaults)} with this field"
         require(name in defaults, key, "a quantity that the field does not have", expected)
-    like = trackers[0].region.low
     varied = None
     if any(name in ENVIRONMENT for name in chosen):
         start = {name: torch.as_tensor(defaults[name]) for name in ENVIRONMENT}
@@ -100,13 +100,13 @@ def build_problem(
             family = waveguide_family(settings, target, settings.torch_dtype)
             varied = environment_fields(family, {**start, **hyperparameters()})
     families = []
-    for tracker in trackers:
-        field_of = varied or _constant(tracker.field)
+    for field, part in zip(fields, sets, strict=True):
+        field_of = varied or _constant(field)
         if "mismatch_share" in chosen:
-            field_of = share_fields(field_of, like)
+            field_of = share_fields(field_of, region.low)
         elif share is not None:
-            field_of = partial(_with_share, share_fields(field_of, like), torch.tensor(share))
-        families.append(TrackerFamily(field_of, tracker.region, tracker.step_s, config))
+            field_of = partial(_with_share, share_fields(field_of, region.low), torch.tensor(share))
+        families.append(TrackerFamily(field_of, region, part.recording.step_s, config))
     return Problem(hyperparameters, families)
 
 
@@ -121,9 +121,9 @@ def _constant(field: Field) -> FieldOf:
 def _defaults(settings: TrackSettings, target: dict, field: Field) -> dict[str, Tensor | float]:
     """All that can be tuned, with the values of the configuration, in float64."""
     region = build_region(settings, torch.float64)
-    defaults: dict[str, Tensor | float] = dict(default_parameters(settings.tracker, region)._asdict())
+    defaults: dict[str, Tensor | float] = dict(default_parameters(settings.direct, region)._asdict())
     if hasattr(field, "incoherent"):
-        share = settings.tracker.mismatch_share or [SHARE_START] * field.num_tones
+        share = settings.direct.mismatch_share or [SHARE_START] * field.num_tones
         defaults["mismatch_share"] = torch.tensor(share, dtype=torch.float64)
     eofs = target.get("eofs")
     if isinstance(field, NormalModeField) and eofs is not None:

@@ -20,9 +20,10 @@ from torchdt.experiment.track import score_history
 from torchdt.experiment.tunable import SequenceSet, build_problem, gather
 from torchdt.experiment.tune_settings import TuneSettings
 from torchdt.model.hyperparameters import Hyperparameters
+from torchdt.prepare import prepare
 from torchdt.report.files import manifest, write_json
 from torchdt.report.tuning import TuningReport, slice_figure, tuning_summary, write_tuned, write_tuning_csv
-from torchdt.tracking import prepare, track
+from torchdt.tracking import track
 from torchdt.tuning.checkpoint import flatten, load_checkpoint, save_checkpoint
 from torchdt.tuning.gradient import ascend
 from torchdt.tuning.search import search

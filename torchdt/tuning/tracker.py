@@ -11,9 +11,10 @@ from torchdt.field.base import Field
 from torchdt.likelihood import log_likelihood
 from torchdt.model.parameters import default_parameters, with_values
 from torchdt.model.region import Region
+from torchdt.prepare import Prepared
 from torchdt.random import RandomStreams
 from torchdt.tracker import DirectTracker
-from torchdt.tracking import Prepared, derive_seed
+from torchdt.tracking import derive_seed
 
 
 @dataclass(frozen=True)
