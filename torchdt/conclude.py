@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from torchdt.bp.schedule import Beliefs
-from torchdt.config import TrackerConfig
+from torchdt.config import ObjectConfig, TrackerConfig
 from torchdt.history import TrackHistory
 from torchdt.model.region import Region
 from torchdt.particles.resampling import roughen, stop_gradient_weights, systematic_indices
@@ -36,18 +36,13 @@ def conclude(
     Returns:
         Posterior objects of batch `(*batch, N)`, strongest first; the next free label; the estimates.
     """
-    log_odds = beliefs.objects.log_odds
-    log_odds = torch.where(torch.sigmoid(log_odds) < config.prune, -torch.inf, log_odds)
     objects = prior._replace(
         log_weight=beliefs.objects.log_weight,
         log_power_weight=beliefs.objects.log_power_weight,
-        log_odds=log_odds,
+        log_odds=prune(beliefs.objects.log_odds, config),
     )
     objects = fit_slots(objects, old.objects)
-    declared = objects.existence > config.declare
-    fresh = declared & (objects.label == 0)
-    label = torch.where(fresh, old.next_label[..., None] + fresh.cumsum(-1) - 1, objects.label)
-    label = torch.where(objects.log_odds.isneginf(), 0, label)
+    declared, label, next_label = declare(objects.log_odds, objects.label, old.next_label, config)
     estimate = TrackHistory(
         existence=objects.existence,
         declared=declared,
@@ -58,7 +53,32 @@ def conclude(
         effective_sample_size=effective_sample_size(objects.log_weight),
         log_evidence=log_evidence,
     )
-    return objects._replace(label=label), old.next_label + fresh.sum(-1), estimate
+    return objects._replace(label=label), next_label, estimate
+
+
+def prune(log_odds: Tensor, config: ObjectConfig) -> Tensor:
+    """Drop improbable objects: log-odds of existence `(*batch,)`, minus infinity below the threshold."""
+    return torch.where(torch.sigmoid(log_odds) < config.prune, -torch.inf, log_odds)
+
+
+def declare(
+    log_odds: Tensor, label: Tensor, next_label: Tensor, config: ObjectConfig
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Report probable objects, and name those reported for the first time in the order of their slots.
+
+    Args:
+        log_odds: `(*batch, N)` of existence, minus infinity for an empty slot.
+        label: `(*batch, N)` int64 before the step, 0 = none yet.
+        next_label: `(*batch,)` int64, next free label.
+        config: thresholds.
+
+    Returns:
+        Which objects are reported `(*batch, N)` bool, all labels, and the next free label.
+    """
+    declared = torch.sigmoid(log_odds) > config.declare
+    fresh = declared & (label == 0)
+    label = torch.where(fresh, next_label[..., None] + fresh.cumsum(-1) - 1, label)
+    return declared, torch.where(log_odds.isneginf(), 0, label), next_label + fresh.sum(-1)
 
 
 def resample(objects: Objects, config: TrackerConfig, streams: RandomStreams) -> Objects:
@@ -68,22 +88,50 @@ def resample(objects: Objects, config: TrackerConfig, streams: RandomStreams) ->
     """
     offset = streams.uniform(config.slots)
     draws = streams.normal(*objects.state.shape[-3:])
-    ancestors = systematic_indices(objects.log_weight, offset)
-    particles = objects.state.gather(-2, ancestors[..., None].expand_as(objects.state))
-    log_weight = stop_gradient_weights(objects.log_weight, ancestors)
-    particles = roughen(particles, log_weight.detach(), draws, config.roughening)
-    poor = effective_sample_size(objects.log_weight) < config.resample_below * config.particles
-    return objects._replace(
-        state=torch.where(poor[..., None, None], particles, objects.state),
-        log_weight=torch.where(poor[..., None], log_weight, objects.log_weight),
-    )
+    state, log_weight = resample_particles(objects.state, objects.log_weight, offset, draws, config)
+    return objects._replace(state=state, log_weight=log_weight)
+
+
+def resample_particles(
+    state: Tensor, log_weight: Tensor, offset: Tensor, draws: Tensor, config: ObjectConfig
+) -> tuple[Tensor, Tensor]:
+    """Resample and roughen the particle sets of low effective sample size; the others stay as they are.
+
+    Args:
+        state: `(*batch, P, D)`.
+        log_weight: `(*batch, P)` normalised.
+        offset: `(*batch,)` uniform draws on [0, 1).
+        draws: `(*batch, P, D)` standard normal.
+        config: numbers of the filter.
+
+    Returns:
+        Particles and log-weights.
+    """
+    poor = effective_sample_size(log_weight) < config.resample_below * config.particles
+    old, old_weight = state[poor], log_weight[poor]
+    ancestors = systematic_indices(old_weight, offset[poor])
+    even = stop_gradient_weights(old_weight, ancestors)
+    particles = old.gather(-2, ancestors[..., None].expand_as(old))
+    particles = roughen(particles, even.detach(), draws[poor], config.roughening)
+    return state.index_put((poor,), particles), log_weight.index_put((poor,), even)
 
 
 def empty_slots(objects: Objects, idle: Tensor) -> Objects:
     """Put idle particles `(P, D)` of equal weight into slots without an object."""
-    empty = objects.log_odds.isneginf()
-    even = -torch.log(torch.full_like(objects.log_weight, objects.log_weight.shape[-1]))
-    return objects._replace(
-        state=torch.where(empty[..., None, None], idle, objects.state),
-        log_weight=torch.where(empty[..., None], even, objects.log_weight),
-    )
+    state, log_weight = put_idle(objects.state, objects.log_weight, objects.log_odds, idle)
+    return objects._replace(state=state, log_weight=log_weight)
+
+
+def put_idle(state: Tensor, log_weight: Tensor, log_odds: Tensor, idle: Tensor) -> tuple[Tensor, Tensor]:
+    """Particles and log-weights of slots, idle ones of equal weight where there is no object.
+
+    Args:
+        state: `(*batch, P, D)`.
+        log_weight: `(*batch, P)` normalised.
+        log_odds: `(*batch,)` of existence, minus infinity for an empty slot.
+        idle: `(P, D)`.
+    """
+    empty = log_odds.isneginf()
+    even = -torch.log(torch.full_like(log_weight, log_weight.shape[-1]))
+    state = torch.where(empty[..., None, None], idle, state)
+    return state, torch.where(empty[..., None], even, log_weight)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdt.bp.schedule import Beliefs, strongest_first, take
+from torchdt.bp.schedule import Beliefs, strongest_first
 from torchdt.state import Objects
 
 
@@ -30,11 +30,15 @@ def strongest_slots(objects: Objects) -> Tensor:
     return strongest_first(torch.where(objects.log_odds.isfinite()[..., None], strength, -torch.inf))
 
 
+def take_rows(tensor: Tensor, index: Tensor) -> Tensor:
+    """Slots of a tensor: `(*batch, N, ...)` at `(*batch, N')` indices, `(*batch, N', ...)`."""
+    at = index.reshape(*index.shape, *(1 for _ in range(tensor.ndim - index.ndim)))
+    return tensor.gather(index.ndim - 1, at.expand(*index.shape, *tensor.shape[index.ndim :]))
+
+
 def take_slots(objects: Objects, index: Tensor) -> Objects:
     """Objects at `(*batch, N')` slot indices of `(*batch, N)`."""
-    dim = index.ndim - 1
-    parts = (torch.stack([take(t, i) for i in index.unbind(-1)], dim) for t in objects)
-    return Objects(*parts)
+    return Objects(*(take_rows(t, index) for t in objects))
 
 
 def fit_slots(objects: Objects, template: Objects) -> Objects:
