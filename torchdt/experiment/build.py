@@ -16,6 +16,7 @@ from torchdt.field.base import Field
 from torchdt.field.build import EnvironmentDraw
 from torchdt.field.mismatch import IncoherentField, MismatchedField
 from torchdt.model.region import Coordinate, Region
+from torchdt.protocol import Tracker
 from torchdt.scenario.generate import generate_snapshots
 from torchdt.scenario.npz import read_npz
 from torchdt.scenario.recording import Recording, validate
@@ -23,6 +24,7 @@ from torchdt.scenario.settings import MismatchSettings
 from torchdt.scenario.simulate import simulate_snapshots
 from torchdt.tracker import DirectTracker
 from torchdt.tracking import generator
+from torchdt.two_step import TwoStepConfig, TwoStepTracker
 
 log = logging.getLogger(__name__)
 ARRAY_KEYS = ("freqs", "element_depths", "sensor_positions")
@@ -111,8 +113,31 @@ def draw_environment(
     )
 
 
-def build_tracker(settings: TrackSettings, recording: Recording) -> DirectTracker:
-    """Tracker for a recording; what the recording says of its array replaces the field's configuration.
+def build_tracker(settings: TrackSettings, recording: Recording, field: Field | None = None) -> Tracker[Any]:
+    """Tracker for a recording.
+
+    Args:
+        settings: of the tracker, and of the field where that is not given.
+        recording: B sequences.
+        field: that of `build_tracking_field`, for several trackers on one recording.
+
+    Raises:
+        InputError: where truth or array do not fit the scenario.
+    """
+    if field is None:
+        field = build_tracking_field(settings, recording)
+    region, config = build_region(settings, settings.torch_dtype), settings.tracker
+    if isinstance(config, TwoStepConfig):
+        return TwoStepTracker(field, region, recording.step_s, config)
+    if settings.direct.mismatch_share is not None:
+        field = shared_field(field, settings)
+    return DirectTracker(field, region, recording.step_s, settings.direct)
+
+
+def build_tracking_field(settings: TrackSettings, recording: Recording) -> Field:
+    """The field in which a recording is tracked, calibrated where that is asked for.
+
+    What the recording says of its array replaces the field's configuration.
 
     Raises:
         InputError: where truth or array do not fit the scenario.
@@ -126,9 +151,7 @@ def build_tracker(settings: TrackSettings, recording: Recording) -> DirectTracke
         raise InputError.of_key("truth", found, f"{region.num_coordinates}, as the scenario")
     if settings.calibration.enabled:
         field = calibrated_field(settings, recording, target, field, region)
-    if settings.tracker.mismatch_share is not None:
-        field = shared_field(field, settings)
-    return DirectTracker(field, region, recording.step_s, settings.tracker)
+    return field
 
 
 def recorded_target(settings: TrackSettings, recording: Recording) -> dict[str, Any]:
@@ -144,7 +167,7 @@ def shared_field(field: Field, settings: TrackSettings) -> MismatchedField:
         InputError: where the calibration estimates that share, the field does not know how it scatters, or
             there is not one share for each tone.
     """
-    share, key = settings.tracker.mismatch_share or [], "tracker.mismatch_share"
+    share, key = settings.direct.mismatch_share or [], "tracker.mismatch_share"
     require(
         not settings.calibration.enabled, key, share, "null, or calibration=none: that estimates the share"
     )

@@ -9,9 +9,11 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from torchdt.calibration.environment import CalibrationConfig
-from torchdt.config import TrackerConfig
-from torchdt.errors import require
+from torchdt.config import ObjectConfig, TrackerConfig
+from torchdt.detect.config import PursuitConfig, SblConfig
+from torchdt.errors import InputError, require
 from torchdt.scenario.settings import ScenarioSettings
+from torchdt.two_step import TwoStepConfig
 
 
 @dataclass
@@ -52,6 +54,7 @@ class TrackSettings:
     """Settings of `experiments/track.py`.
 
     Attributes:
+        tracker: settings of one of the trackers; their type says which.
         field: target and arguments of the array response, see `torchdt.field.build`.
         seed: of the first run; run b has `seed + b`.
         runs: sequences simulated and tracked in one batch; a recording brings its own number.
@@ -62,7 +65,7 @@ class TrackSettings:
     scenario: ScenarioSettings = dataclasses.field(default_factory=ScenarioSettings)
     field: Any = None
     calibration: CalibrationConfig = dataclasses.field(default_factory=CalibrationConfig)
-    tracker: TrackerConfig = dataclasses.field(default_factory=TrackerConfig)
+    tracker: ObjectConfig = dataclasses.field(default_factory=ObjectConfig)
     data: DataSettings = dataclasses.field(default_factory=DataSettings)
     logging: LoggingSettings = dataclasses.field(default_factory=LoggingSettings)
     seed: int = 0
@@ -82,6 +85,17 @@ class TrackSettings:
     def torch_dtype(self) -> torch.dtype:
         """Real type of the tracker."""
         return torch.float32 if self.dtype == "float32" else torch.float64
+
+    @property
+    def direct(self) -> TrackerConfig:
+        """The tracker's settings, for what only the direct tracker can do.
+
+        Raises:
+            InputError: where they are those of another tracker.
+        """
+        if not isinstance(self.tracker, TrackerConfig):
+            raise InputError.of_key("tracker", type(self.tracker).__name__, "settings of direct tracking")
+        return self.tracker
 
 
 def _usable(device: str) -> bool:
@@ -115,4 +129,8 @@ def _refuse_unknown(config: DictConfig, prefix: str) -> None:
             _refuse_unknown(config[key], f"{name}.")
 
 
-ConfigStore.instance().store(name="track_schema", node=TrackSettings)
+_store = ConfigStore.instance()
+_store.store(name="track_schema", node=TrackSettings)
+_store.store(name="direct_schema", node=TrackerConfig)
+_store.store(name="mp_bp_schema", node=TwoStepConfig(detector=PursuitConfig()))
+_store.store(name="sbl_bp_schema", node=TwoStepConfig(detector=SblConfig()))

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import torch
 from hydra.core.hydra_config import HydraConfig
@@ -20,11 +21,11 @@ from torchdt.experiment.figures import draw_figures
 from torchdt.experiment.settings import TrackSettings, settings_of
 from torchdt.history import TrackHistory
 from torchdt.metrics.gospa import Gospa, gospa
+from torchdt.protocol import Tracker
 from torchdt.report.files import manifest, metrics_summary, write_gospa_csv, write_json, write_tracks_csv
 from torchdt.report.tables import print_summary
 from torchdt.report.tensorboard import TensorBoardReport
 from torchdt.scenario.recording import Recording
-from torchdt.tracker import DirectTracker
 from torchdt.tracking import track
 
 log = logging.getLogger(__name__)
@@ -44,6 +45,7 @@ def run_track(config: DictConfig) -> float | None:
     write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), settings.seed))
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
+    name = HydraConfig.get().runtime.choices["tracker"]
     recording = build_recording(settings)
     tracker = build_tracker(settings, recording)
     alone = HydraConfig.get().mode is not RunMode.MULTIRUN
@@ -54,9 +56,9 @@ def run_track(config: DictConfig) -> float | None:
         history = track(recording, tracker, seeds, on_step)
     seconds = time.perf_counter() - start
     score = score_history(history, recording, settings)
-    write_results(directory, settings, recording, tracker, history, score, seconds)
+    write_results(directory, name, settings, recording, tracker, history, score, seconds)
     if alone:
-        print_summary(Console(), history, score, seconds, title=f"direct tracking, {settings.scenario.name}")
+        print_summary(Console(), history, score, seconds, title=f"tracker {name}, {settings.scenario.name}")
     log.info("results in %s", directory)
     return None if score is None else float(score.total.mean())
 
@@ -116,16 +118,17 @@ def progress_bar(
 
 def write_results(
     directory: Path,
+    name: str,
     settings: TrackSettings,
     recording: Recording,
-    tracker: DirectTracker,
+    tracker: Tracker[Any],
     history: TrackHistory,
     score: Gospa | None,
     seconds: float,
 ) -> None:
     """Tables first, then figures and event files of the first run."""
     history = TrackHistory(*(t.cpu() for t in history))
-    write_json(directory / "metrics.json", metrics_summary("direct", history, score, settings.seed, seconds))
+    write_json(directory / "metrics.json", metrics_summary(name, history, score, settings.seed, seconds))
     write_tracks_csv(directory / "tracks.csv", history, recording.step_s, tracker.region.column_names)
     if score is not None:
         write_gospa_csv(directory / "gospa.csv", score)

@@ -1,0 +1,89 @@
+"""Conventional tracking in two steps: detect points in the array data, then track the points."""
+
+from dataclasses import dataclass, field
+
+import torch
+
+from torchdt.detect.config import DetectorConfig, PursuitConfig, SblConfig
+from torchdt.detect.dictionary import Dictionary, build_dictionary
+from torchdt.detect.points import Detector
+from torchdt.detect.pursuit import MatchingPursuit
+from torchdt.detect.sbl import SparseBayesianLearning
+from torchdt.errors import InputError
+from torchdt.field.base import Field
+from torchdt.history import TrackHistory
+from torchdt.model.measurement import Measurement
+from torchdt.model.prior import Priors
+from torchdt.model.region import Region
+from torchdt.mot.config import PointConfig
+from torchdt.mot.likelihood import GaussianPosition
+from torchdt.mot.tracker import PointState, PointTracker
+from torchdt.prepare import Prepared, prepare
+from torchdt.protocol import Tracker
+from torchdt.random import RandomStreams
+from torchdt.scenario.recording import Recording
+
+
+@dataclass
+class TwoStepConfig(PointConfig):
+    """A detector, and the tracking of its points.
+
+    Attributes:
+        detector: settings of one of the detectors; their type says which.
+    """
+
+    detector: DetectorConfig = field(default_factory=PursuitConfig)
+
+
+class TwoStepTracker(Tracker[PointState]):
+    """Tracks what a detector finds; the reference that direct tracking is compared with.
+
+    Args:
+        field: array response.
+        region: region of interest; its dtype and device are those of the tracker.
+        step_s: time step in seconds.
+        config: numbers of the detector and the tracker.
+
+    Raises:
+        InputError: where the settings are those of no known detector, or do not fit the region.
+    """
+
+    def __init__(self, field: Field, region: Region, step_s: float, config: TwoStepConfig):
+        self.field, self.region, self.config = field, region, config
+        self.dictionary = build_dictionary(field, region)
+        self.detector = build_detector(field, region, self.dictionary, config.detector)
+        likelihood = GaussianPosition(region, config.spread_in(region))
+        self.tracker = PointTracker(region, step_s, config, likelihood)
+
+    def prepare(self, recording: Recording) -> Prepared:
+        """Scale a recording, see `prepare`."""
+        return prepare(recording, self.field, self.region)
+
+    def init(self, priors: Priors) -> PointState:
+        """State before the first step: no objects."""
+        *batch, num_tones = priors.noise_max.shape
+        return self.tracker.init(batch, num_tones)
+
+    def step(
+        self, state: PointState, measurement: Measurement, priors: Priors, streams: RandomStreams
+    ) -> tuple[PointState, TrackHistory]:
+        """Take in one step of data; see `PointTracker.step` for what the estimates mean.
+
+        Raises:
+            NumericalError: where a covariance is not positive definite or a message not finite.
+        """
+        with torch.no_grad():
+            return self.tracker.step(state, self.detector(measurement), streams)
+
+
+def build_detector(field: Field, region: Region, dictionary: Dictionary, config: DetectorConfig) -> Detector:
+    """The detector that settings are for.
+
+    Raises:
+        InputError: where there is none.
+    """
+    if isinstance(config, PursuitConfig):
+        return MatchingPursuit(field, region, dictionary, config)
+    if isinstance(config, SblConfig):
+        return SparseBayesianLearning(field, region, dictionary, config)
+    raise InputError.of_key("tracker.detector", type(config).__name__, "PursuitConfig or SblConfig")
