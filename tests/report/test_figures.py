@@ -83,7 +83,8 @@ def test_surface(tmp_path):
     surface = -30 * torch.ones(20, 10)
     surface[12, 3] = -3.0
     truth = torch.tensor([[3000.0, 54.0], [math.nan, math.nan]])
-    figure = surface_figure(surface, grid, torch.tensor([[3100.0, 60.0]]), truth, dynamic_range=15.0)
+    estimates = {"estimate": torch.tensor([[3100.0, 60.0]])}
+    figure = surface_figure(surface, grid, estimates, truth, dynamic_range=15.0)
     panel, bar = figure.axes
     assert (panel.get_xlabel(), panel.get_ylabel()) == ("Range (km)", "Depth (m)")
     assert bar.get_ylabel() == "Power (dB)"
@@ -100,7 +101,8 @@ def test_surface(tmp_path):
 def test_surface_over_one_coordinate(tmp_path):
     bearing = torch.linspace(-90, 90, 181)
     surface = -bearing.abs() / 10
-    figure = surface_figure(surface, (bearing,), torch.tensor([[20.0]]), axes=(Axis("Bearing (deg)"),))
+    estimates = {"estimate": torch.tensor([[20.0]])}
+    figure = surface_figure(surface, (bearing,), estimates, axes=(Axis("Bearing (deg)"),))
     (panel,) = figure.axes
     assert (panel.get_xlabel(), panel.get_ylabel()) == ("Bearing (deg)", "Power (dB)")
     np.testing.assert_allclose(lines(panel)["estimate"].get_xydata(), [[20.0, -2.0]], rtol=1e-6)
@@ -110,4 +112,22 @@ def test_surface_over_one_coordinate(tmp_path):
 
 def test_surface_of_wrong_dimension():
     with pytest.raises(ValueError, match="dimensions: found surface 2, grid 1, axes 2, positions 2"):
-        surface_figure(torch.zeros(4, 4), (torch.arange(4),), torch.zeros(0, 2))
+        surface_figure(torch.zeros(4, 4), (torch.arange(4),), {"estimate": torch.zeros(0, 2)})
+
+
+def test_sets_of_estimates_are_told_apart(tmp_path):
+    grid = torch.linspace(500, 5000, 4), torch.linspace(2, 200, 3)
+    estimates = {str(n): torch.full((n, 2), 100.0 * n) for n in range(1, 5)} | {"none": torch.zeros(0, 2)}
+    figure = surface_figure(torch.rand(4, 3), grid, estimates, torch.tensor([[3000.0, 54.0]]))
+    drawn = lines(figure.axes[0])
+    assert legend_texts(figure.legends[0]) == list(drawn) == ["truth", *estimates]
+    assert [len(line.get_xdata()) for line in drawn.values()] == [1, 1, 2, 3, 4, 0]
+    assert len({(line.get_color(), line.get_marker()) for line in drawn.values()}) == 6
+    assert len({line.get_color() for line in drawn.values()}) == 6
+    save(figure, tmp_path)
+
+
+def test_surface_names_all_widths():
+    estimates = {"good": torch.zeros(1, 2), "bad": torch.zeros(1, 3)}
+    with pytest.raises(ValueError, match="positions 2, positions 3"):
+        surface_figure(torch.zeros(4, 4), (torch.arange(4), torch.arange(4)), estimates)

@@ -1,17 +1,20 @@
 """Figures of one tracked sequence."""
 
+from typing import Any
+
 import torch
 from matplotlib.figure import Figure
+from torch import Tensor
 
-from torchdt.detect.dictionary import bartlett_surface
+from torchdt.detect.dictionary import Dictionary, bartlett_surface
 from torchdt.experiment.settings import TrackSettings
 from torchdt.history import TrackHistory
 from torchdt.metrics.gospa import Gospa
-from torchdt.model.region import Coordinate
+from torchdt.model.measurement import Measurement
+from torchdt.model.region import Coordinate, Region
+from torchdt.protocol import Tracker
 from torchdt.report.figures import Axis, gospa_figure, surface_figure, tracks_figure
 from torchdt.scenario.recording import Recording
-from torchdt.tracker import DirectTracker
-from torchdt.tracking import prepare
 
 
 def axis_of(coordinate: Coordinate) -> Axis:
@@ -24,7 +27,7 @@ def axis_of(coordinate: Coordinate) -> Axis:
 def draw_figures(
     settings: TrackSettings,
     recording: Recording,
-    tracker: DirectTracker,
+    tracker: Tracker[Any],
     history: TrackHistory,
     score: Gospa | None,
 ) -> dict[str, Figure]:
@@ -43,16 +46,33 @@ def draw_figures(
         figures["gospa"] = gospa_figure(score.select(0), times, coordinates[0].unit)
     if len(coordinates) <= 2:
         step = min(settings.logging.surface_step, recording.num_steps - 1)
-        measurement = prepare(recording, tracker.field, tracker.region, tracker.config).measurement.at(step)
-        surface = bartlett_surface(tracker.dictionary, measurement)[0].reshape(tracker.region.grid_shape)
-        decibels = 10 * surface.clamp_min(torch.finfo(surface.dtype).tiny).log10().cpu()
-        centres = tracker.dictionary.points.reshape(*tracker.region.grid_shape, -1).cpu()
-        grid = [
-            centres.movedim(d, 0).reshape(n, -1, len(coordinates))[:, 0, d]
-            for d, n in enumerate(centres.shape[:-1])
-        ]
-        estimates = first.position[step][first.declared[step]]
+        measurement = tracker.prepare(recording).measurement.at(step)
+        decibels, grid = ambiguity_surface(tracker.dictionary, tracker.region, measurement)
+        estimates = {"estimate": first.position[step][first.declared[step]]}
         figures["surface"] = surface_figure(
             decibels, grid, estimates, None if truth is None else truth[step], axes
         )
     return figures
+
+
+def ambiguity_surface(
+    dictionary: Dictionary, region: Region, measurement: Measurement
+) -> tuple[Tensor, list[Tensor]]:
+    """Power of the conventional beamformer for the first sequence, on the CPU.
+
+    Args:
+        dictionary: responses at the centres of the region's birth cells.
+        region: of one or two coordinates.
+        measurement: of one step, batch `(B,)`.
+
+    Returns:
+        `(A,)` or `(A, B)` in dB, and for each dimension the values of its coordinate.
+    """
+    surface = bartlett_surface(dictionary, measurement)[0].reshape(region.grid_shape)
+    decibels = 10 * surface.clamp_min(torch.finfo(surface.dtype).tiny).log10().cpu()
+    centres = dictionary.points.reshape(*region.grid_shape, -1).cpu()
+    grid = [
+        centres.movedim(d, 0).reshape(n, -1, region.num_coordinates)[:, 0, d]
+        for d, n in enumerate(region.grid_shape)
+    ]
+    return decibels, grid

@@ -35,13 +35,12 @@ log = logging.getLogger(__name__)
 
 
 @dataclass
-class QualitySettings:
-    """Settings of `experiments/quality.py`.
+class SuiteSettings:
+    """A suite of scenarios, and how they are scored.
 
     Attributes:
         name: of the configuration under test, for the run directory.
         suite: names of scenarios.
-        seeds: of the runs; consecutive ones are tracked in one batch.
         overrides: of the configuration of `experiments/track.py`, in every scenario.
         separation: distance below which two sources hide each other, in the coordinates' unit.
         switch_cost: gamma of T-GOSPA, as a share of the scenario's cutoff.
@@ -49,18 +48,33 @@ class QualitySettings:
 
     name: str = "default"
     suite: list[str] = dataclasses.field(default_factory=list)
-    seeds: list[int] = dataclasses.field(default_factory=lambda: [0])
     overrides: list[str] = dataclasses.field(default_factory=list)
     separation: float = 30.0
     switch_cost: float = 0.1
 
     def __post_init__(self) -> None:
-        for key in ("suite", "seeds"):
-            values = getattr(self, key)
-            distinct = len(set(values)) == len(values) > 0
-            require(distinct, key, values, "at least one, each once")
+        self._require_distinct("suite")
         require(0 <= self.separation < math.inf, "separation", self.separation, "a number from 0 up")
         require(0 < self.switch_cost < math.inf, "switch_cost", self.switch_cost, "a positive number")
+
+    def _require_distinct(self, key: str) -> None:
+        values = getattr(self, key)
+        require(len(set(values)) == len(values) > 0, key, values, "at least one, each once")
+
+
+@dataclass
+class QualitySettings(SuiteSettings):
+    """Settings of `experiments/quality.py`.
+
+    Attributes:
+        seeds: of the runs; consecutive ones are tracked in one batch.
+    """
+
+    seeds: list[int] = dataclasses.field(default_factory=lambda: [0])
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._require_distinct("seeds")
 
 
 ConfigStore.instance().store(name="quality_schema", node=QualitySettings)
@@ -86,8 +100,7 @@ def run_quality(config: DictConfig) -> list[Quality]:
             log.info("%s: GOSPA %.2f in %.1f s", scenario, rows[-1].gospa, rows[-1].seconds)
         except Exception as error:
             log.exception("%s failed", scenario)
-            # The log has all of it; a cell of a table takes one line.
-            rows.append(Quality(scenario, error=f"{type(error).__name__}: {error}".splitlines()[0]))
+            rows.append(Quality(scenario, error=one_line(error)))
         write_rows(directory, rows)
     print_rows(Console(), rows)
     log.info("results in %s", directory)
@@ -123,6 +136,11 @@ def assess(scenario: str, settings: QualitySettings) -> Quality:
     )
 
 
+def one_line(error: Exception) -> str:
+    """What a cell of a table takes of an error; the log has all of it."""
+    return f"{type(error).__name__}: {error}".splitlines()[0]
+
+
 def consecutive(seeds: Sequence[int]) -> list[list[int]]:
     """Stretches of seeds that rise by one."""
     groups = itertools.groupby(enumerate(seeds), key=lambda pair: pair[1] - pair[0])
@@ -134,7 +152,7 @@ def score(
     history: TrackHistory,
     recording: Recording,
     track_settings: TrackSettings,
-    settings: QualitySettings,
+    settings: SuiteSettings,
 ) -> Quality:
     """All of `Quality` that does not need a clock.
 

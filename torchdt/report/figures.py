@@ -1,6 +1,6 @@
 """Figures of a run. They are plain `Figure` objects: save them with `figure.savefig`."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +16,8 @@ from torchdt.metrics import Gospa
 # kept for the truth, yellow left out as it is hard to see on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+# Open ones, of sets of points: what lies on top of something else does not cover it.
+POINT_MARKERS = ("x", "s", "^", "D", "v", "+")
 MAX_LEGEND_LABELS = 12
 
 
@@ -49,14 +51,18 @@ def tracks_figure(
     """
     figure = Figure(figsize=(7.2, 1.0 + 2.2 * len(axes)), layout="constrained")
     panels: list[Axes] = list(figure.subplots(len(axes), 1, sharex=True, squeeze=False)[:, 0])
-    minutes = _array(times) / 60
-    declared, label, position = _array(history.declared), _array(history.label), _array(history.position)
+    minutes = to_array(times) / 60
+    declared, label, position = (
+        to_array(history.declared),
+        to_array(history.label),
+        to_array(history.position),
+    )
     labels, counts = np.unique(label[declared], return_counts=True)
     in_legend = labels[np.argsort(-counts, kind="stable")][:MAX_LEGEND_LABELS]
 
     for coordinate, (panel, axis) in enumerate(zip(panels, axes, strict=True)):
         if truth is not None:
-            line = _array(truth[..., coordinate]) * axis.scale
+            line = to_array(truth[..., coordinate]) * axis.scale
             for index in range(line.shape[1]):
                 name = "truth" if index == 0 else None
                 panel.plot(minutes, line[:, index], color="black", lw=4, alpha=0.25, label=name)
@@ -77,7 +83,7 @@ def tracks_figure(
         if axis.downward:
             panel.invert_yaxis()
     panels[-1].set_xlabel("Time (min)")
-    _legend_outside(panels[0], len(labels) - len(in_legend))
+    legend_outside(panels[0], len(labels) - len(in_legend))
     return figure
 
 
@@ -91,28 +97,28 @@ def gospa_figure(gospa: Gospa, times: Tensor, unit: str = "m") -> Figure:
     """
     figure = Figure(figsize=(7.2, 3.0), layout="constrained")
     panel = figure.subplots()
-    minutes = _array(times) / 60
-    parts = [_array(part) for part in (gospa.localisation, gospa.missed, gospa.false)]
+    minutes = to_array(times) / 60
+    parts = [to_array(part) for part in (gospa.localisation, gospa.missed, gospa.false)]
     panel.stackplot(
         minutes, parts, labels=("localisation", "missed", "false"), colors=COLOURS[:3], alpha=0.7, step="mid"
     )
     mean = gospa.total.mean().item()
     panel.step(
-        minutes, _array(gospa.total), where="mid", color="black", lw=0.8, label=f"GOSPA, mean {mean:.1f}"
+        minutes, to_array(gospa.total), where="mid", color="black", lw=0.8, label=f"GOSPA, mean {mean:.1f}"
     )
     panel.set_xlabel("Time (min)")
     panel.set_ylabel(f"GOSPA ({unit})")
     panel.set_ylim(bottom=0)
     panel.margins(x=0)
     panel.grid(alpha=0.3)
-    _legend_outside(panel)
+    legend_outside(panel)
     return figure
 
 
 def surface_figure(
     surface: Tensor,
     grid: Sequence[Tensor],
-    estimates: Tensor,
+    estimates: Mapping[str, Tensor],
     truth: Tensor | None = None,
     axes: Sequence[Axis] = WAVEGUIDE_AXES,
     dynamic_range: float = 20.0,
@@ -122,7 +128,7 @@ def surface_figure(
     Args:
         surface: `(A,)` or `(A, B)` in dB, over one or two coordinates.
         grid: for each dimension of the surface the values `(A,)`, `(B,)` of its coordinate, increasing.
-        estimates: `(N, d)` declared positions.
+        estimates: `(N, d)` declared positions by the name under which they are drawn.
         truth: `(L, d)` true positions, NaN = absent; None if unknown.
         axes: of the d = 1 or 2 coordinates.
         dynamic_range: dB below the maximum that are shown.
@@ -130,17 +136,20 @@ def surface_figure(
     Raises:
         ValueError: numbers of dimensions that do not fit each other.
     """
-    if surface.dim() not in (1, 2) or not surface.dim() == len(grid) == len(axes) == estimates.shape[-1]:
-        found = (
-            f"surface {surface.dim()}, grid {len(grid)}, axes {len(axes)}, positions {estimates.shape[-1]}"
-        )
+    widths = {position.shape[-1] for position in estimates.values()}
+    if surface.dim() not in (1, 2) or {surface.dim(), len(grid), len(axes)} | widths != {surface.dim()}:
+        positions = ", ".join(f"positions {width}" for width in sorted(widths))
+        found = f"surface {surface.dim()}, grid {len(grid)}, axes {len(axes)}, {positions}"
         raise ValueError(f"dimensions: found {found}, expected one or two, the same for all")
     figure = Figure(figsize=(7.2, 3.4), layout="constrained")
     panel = figure.subplots()
-    values = _array(surface)
+    values = to_array(surface)
     top = float(np.nanmax(values))
-    ticks = [_array(vector) * axis.scale for vector, axis in zip(grid, axes, strict=True)]
-    points = [("estimate", estimates, "x", "#D55E00", 8)]
+    ticks = [to_array(vector) * axis.scale for vector, axis in zip(grid, axes, strict=True)]
+    points = [
+        (name, position, POINT_MARKERS[index % len(POINT_MARKERS)], method_colour(index), 8)
+        for index, (name, position) in enumerate(estimates.items())
+    ]
     if truth is not None:
         points.insert(0, ("truth", truth[~truth.isnan().any(-1)], "o", "black", 11))
 
@@ -160,20 +169,26 @@ def surface_figure(
     panel.set_xlabel(axes[0].label)
 
     for name, position, marker, colour, size in points:
-        x = _array(position[:, 0]) * axes[0].scale
-        y = _array(position[:, 1]) * axes[1].scale if surface.dim() == 2 else np.interp(x, ticks[0], values)
+        x = to_array(position[:, 0]) * axes[0].scale
+        y = to_array(position[:, 1]) * axes[1].scale if surface.dim() == 2 else np.interp(x, ticks[0], values)
         (line,) = panel.plot(x, y, marker, ms=size, mew=2, mfc="none", color=colour, label=name)
         if surface.dim() == 2:
             line.set_path_effects([withStroke(linewidth=4, foreground="white")])
-    figure.legend(loc="outside upper right", ncols=2, frameon=False)
+    figure.legend(loc="outside upper right", ncols=len(points), frameon=False)
     return figure
 
 
-def _array(values: Tensor) -> np.ndarray:
+def method_colour(index: int) -> str:
+    """Colour of a method's estimates, the same in all figures; the first stands out from a dark surface."""
+    return COLOURS[(index + 1) % len(COLOURS)]
+
+
+def to_array(values: Tensor) -> np.ndarray:
+    """What matplotlib takes, on the CPU and without gradient."""
     return values.detach().cpu().numpy()
 
 
-def _legend_outside(panel: Axes, num_hidden: int = 0) -> None:
+def legend_outside(panel: Axes, num_hidden: int = 0) -> None:
     """Put the legend to the right of the panel, where it hides nothing."""
     title = f"{num_hidden} more not listed" if num_hidden else None
     if panel.get_legend_handles_labels()[0]:

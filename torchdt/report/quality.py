@@ -4,7 +4,8 @@ import csv
 import dataclasses
 import io
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -88,12 +89,17 @@ def write_rows(directory: Path, rows: Sequence[Quality]) -> None:
     """Replace `quality.csv` and `quality.json`."""
     table = [dataclasses.asdict(row) for row in rows]
     write_json(directory / "quality.json", {"scenarios": table})
-    columns = [key for key, value in table[0].items() if not isinstance(value, list)]
+    write_table(directory / "quality.csv", table)
+
+
+def write_table(path: str | os.PathLike[str], rows: Sequence[Mapping[str, object]]) -> None:
+    """Write a CSV file with the columns of the first row; lists are left out."""
+    columns = [key for key, value in rows[0].items() if not isinstance(value, list)]
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
-    writer.writerows(table)
-    with atomic_write(directory / "quality.csv") as file:
+    writer.writerows(rows)
+    with atomic_write(path) as file:
         file.write(buffer.getvalue().encode())
 
 

@@ -1,0 +1,241 @@
+"""How well several trackers do on a suite of scenarios, on the same recordings and in the same field."""
+
+import dataclasses
+import logging
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from hydra import compose
+from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
+from matplotlib.figure import Figure
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+from torch import Tensor
+
+from torchdt.detect.dictionary import build_dictionary
+from torchdt.errors import require
+from torchdt.experiment.build import build_region, build_tracker, build_tracking_field, simulate
+from torchdt.experiment.figures import ambiguity_surface, axis_of
+from torchdt.experiment.quality import SuiteSettings, confidence, one_line, score
+from torchdt.experiment.settings import TrackSettings, settings_of
+from torchdt.experiment.track import score_history
+from torchdt.field.base import Field
+from torchdt.history import TrackHistory
+from torchdt.metrics import Gospa
+from torchdt.model.region import Region
+from torchdt.prepare import prepare
+from torchdt.report.compare_tables import (
+    Comparison,
+    print_comparison,
+    write_comparison,
+    write_events,
+    write_gospa_table,
+)
+from torchdt.report.comparison import gospa_comparison_figure, trajectory_figure
+from torchdt.report.figures import surface_figure
+from torchdt.report.files import manifest, write_json
+from torchdt.report.quality import Quality
+from torchdt.scenario.recording import Recording
+from torchdt.scenario.visibility import hidden_steps
+from torchdt.tracking import track
+
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class CompareSettings(SuiteSettings):
+    """Settings of `experiments/compare.py`.
+
+    Attributes:
+        trackers: options of the group `tracker`; all are compared with the first.
+        runs: of each scenario, tracked in one batch.
+        seed: of the first run; run b has `seed + b`.
+        surface_step: step whose estimates are drawn over the ambiguity surface; the last one of shorter
+            scenarios.
+        tensorboard: write event files.
+    """
+
+    trackers: list[str] = dataclasses.field(default_factory=lambda: ["direct"])
+    runs: int = 1
+    seed: int = 0
+    surface_step: int = 200
+    tensorboard: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._require_distinct("trackers")
+        require(self.runs >= 1, "runs", self.runs, "a positive integer")
+        require(self.surface_step >= 0, "surface_step", self.surface_step, "a step from 0 up")
+
+
+ConfigStore.instance().store(name="compare_schema", node=CompareSettings)
+
+
+class Stage(NamedTuple):
+    """What all trackers of a scenario share.
+
+    Attributes:
+        settings: of its first tracker; what is read of them here is the same for all.
+        recording: simulated, one sequence for each run.
+        field: in which it is tracked, calibrated where that is asked for.
+        region: of interest.
+        hidden: `(K,)` bool, steps in which not every source can be seen.
+        step: index of the step shown over the surface.
+        surface: that of the first run at this step, and its grid; None for more than two coordinates.
+    """
+
+    settings: TrackSettings
+    recording: Recording
+    field: Field
+    region: Region
+    hidden: Tensor
+    step: int
+    surface: tuple[Tensor, list[Tensor]] | None
+
+
+class Outcome(NamedTuple):
+    """What one tracker made of a scenario.
+
+    Attributes:
+        quality: scores of all runs.
+        gospa: `(B, K)`.
+        estimates: `(N, d)` declared positions of the first run at the step shown over the surface.
+    """
+
+    quality: Quality
+    gospa: Gospa
+    estimates: Tensor
+
+
+def run_compare(config: DictConfig) -> list[Comparison]:
+    """Track and score every scenario with every tracker, in Hydra's run directory.
+
+    `compare.csv` and `compare.json` grow by a row for each; `<scenario>/` holds `gospa.csv`, `figures/` and
+    `tensorboard/<tracker>/`.
+
+    Returns:
+        One row per scenario and tracker. What fails leaves its error in its row, and the others go on.
+
+    Raises:
+        InputError: where the configuration of the suite does not make sense.
+    """
+    settings = OmegaConf.to_object(config)
+    assert isinstance(settings, CompareSettings)
+    directory = Path(HydraConfig.get().runtime.output_dir)
+    write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), settings.seed))
+    rows: list[Comparison] = []
+    for scenario in settings.suite:
+        stage: Stage | None = None
+        outcomes: dict[str, Outcome] = {}
+        for name in settings.trackers:
+            row = Comparison(scenario, tracker=name)
+            try:
+                track_settings = compose_settings(scenario, name, settings)
+                stage = stage or set_stage(track_settings, settings)
+                outcomes[name] = outcome = assess(scenario, stage, track_settings, settings)
+                first = outcomes.get(settings.trackers[0])
+                row = beside(name, outcome.quality, first and first.quality)
+                log.info("%s, %s: GOSPA %.2f in %.1f s", scenario, name, row.gospa, row.seconds)
+                if settings.tensorboard:
+                    write_events(directory / scenario / "tensorboard" / name, outcome.gospa)
+                write_outcomes(directory / scenario, stage, outcomes)
+            except Exception as error:
+                log.exception("%s, %s failed", scenario, name)
+                row = dataclasses.replace(row, error=one_line(error))
+            rows.append(row)
+            write_comparison(directory, rows)
+    print_comparison(Console(), rows)
+    log.info("results in %s", directory)
+    return rows
+
+
+def compose_settings(scenario: str, tracker: str, settings: CompareSettings) -> TrackSettings:
+    """Settings of `experiments/track.py` for one tracker in one scenario."""
+    batch = [f"seed={settings.seed}", f"runs={settings.runs}"]
+    choices = [f"scenario={scenario}", f"tracker={tracker}", *settings.overrides, *batch]
+    return settings_of(compose("track", overrides=choices))
+
+
+def set_stage(track_settings: TrackSettings, settings: CompareSettings) -> Stage:
+    """Simulate a scenario and fit the field to it: neither depends on the tracker."""
+    if track_settings.threads is not None:
+        torch.set_num_threads(track_settings.threads)
+    recording = simulate(track_settings)
+    field = build_tracking_field(track_settings, recording)
+    region = build_region(track_settings, track_settings.torch_dtype)
+    assert recording.truth is not None
+    hidden = hidden_steps(track_settings.scenario, recording.truth[0], settings.separation)
+    step, surface = min(settings.surface_step, recording.num_steps - 1), None
+    if region.num_coordinates <= 2:
+        measurement = prepare(recording, field, region).measurement.at(step)
+        surface = ambiguity_surface(build_dictionary(field, region), region, measurement)
+    return Stage(track_settings, recording, field, region, hidden, step, surface)
+
+
+def assess(scenario: str, stage: Stage, track_settings: TrackSettings, settings: CompareSettings) -> Outcome:
+    """Track and score all runs of one scenario with one tracker."""
+    recording = stage.recording
+    start = time.perf_counter()
+    tracker = build_tracker(track_settings, recording, stage.field)
+    ready = time.perf_counter()
+    seeds = range(settings.seed, settings.seed + settings.runs)
+    history = TrackHistory(*(part.cpu() for part in track(recording, tracker, seeds)))
+    end = time.perf_counter()
+    quality = dataclasses.replace(
+        score(scenario, history, recording, track_settings, settings),
+        steps_per_second=settings.runs * recording.num_steps / (end - ready),
+        real_time=recording.step_s * recording.num_steps / (end - ready),
+        seconds=end - start,
+    )
+    gospa = score_history(history, recording, track_settings)
+    assert gospa is not None
+    return Outcome(quality, gospa, history.position[0, stage.step][history.declared[0, stage.step]])
+
+
+def beside(tracker: str, quality: Quality, first: Quality | None) -> Comparison:
+    """Scores of a tracker beside those of the first one; None where that one failed."""
+    row = Comparison(**vars(quality), tracker=tracker)
+    if first is None:
+        return row
+    pairs = torch.tensor([quality.gospa_by_run, first.gospa_by_run], dtype=torch.float64)
+    difference = pairs[0] - pairs[1]
+    return dataclasses.replace(
+        row,
+        ahead=1 - first.gospa / quality.gospa if quality.gospa else math.nan,
+        difference=float(difference.mean()),
+        difference_ci=confidence(difference),
+    )
+
+
+def write_outcomes(directory: Path, stage: Stage, outcomes: Mapping[str, Outcome]) -> None:
+    """Replace the table and the figures of one scenario in its directory, made if absent."""
+    (directory / "figures").mkdir(parents=True, exist_ok=True)
+    write_gospa_table(directory / "gospa.csv", {name: o.gospa for name, o in outcomes.items()})
+    for name, figure in draw_comparison(stage, outcomes).items():
+        figure.savefig(directory / "figures" / f"{name}.png", dpi=150)
+
+
+def draw_comparison(stage: Stage, outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
+    """Figures of one scenario by name."""
+    recording, coordinates = stage.recording, stage.region.coordinates
+    assert recording.truth is not None
+    truth, axes = recording.truth[0], [axis_of(c) for c in coordinates]
+    scores = {name: outcome.gospa for name, outcome in outcomes.items()}
+    figures = {"gospa": gospa_comparison_figure(scores, stage.hidden, recording.step_s, coordinates[0].unit)}
+    if stage.surface is not None:
+        estimates = {name: outcome.estimates for name, outcome in outcomes.items()}
+        figures["estimates"] = surface_figure(*stage.surface, estimates, truth[stage.step], axes)
+    if len(coordinates) == 2:
+        # Sources that are drawn from the model have no names.
+        names = map(str, stage.settings.scenario.sources or range(1, truth.shape[1] + 1))
+        tracks = dict(zip(names, truth.unbind(1), strict=True))
+        depths = stage.settings.field.get("element_depths")
+        array = None if depths is None else torch.tensor(depths, dtype=torch.float64)
+        figures["trajectory"] = trajectory_figure(tracks, recording.step_s, array, axes)
+    return figures

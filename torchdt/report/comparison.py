@@ -1,0 +1,116 @@
+"""Figures that set several trackers side by side, after those of Liang and Meyer, Sec. IV.
+
+Their third figure, estimates over the ambiguity surface, is `torchdt.report.figures.surface_figure`.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from torchdt.metrics import Gospa
+from torchdt.report.figures import COLOURS, WAVEGUIDE_AXES, Axis, legend_outside, method_colour, to_array
+
+TICK_MINUTES = 5
+
+
+def trajectory_figure(
+    truth: Mapping[str, Tensor],
+    step_s: float,
+    element_depths: Tensor | None = None,
+    axes: Sequence[Axis] = WAVEGUIDE_AXES,
+) -> Figure:
+    """Draw where sources go in the plane of range and depth, and the array.
+
+    A circle is where a source starts, a dot where it is after every five minutes, with that number of
+    minutes beside it.
+
+    Args:
+        truth: `(K, 2)` true positions by the source's name, NaN = absent.
+        step_s: seconds from one step to the next; step 0 is at time 0.
+        element_depths: `(M,)` m, of a vertical array at range zero; None draws no array.
+        axes: of range and depth.
+    """
+    figure = Figure(figsize=(7.2, 3.0), layout="constrained")
+    panel = figure.subplots()
+    scale = np.array([axis.scale for axis in axes])
+    for index, (name, track) in enumerate(truth.items()):
+        colour, up = COLOURS[index % len(COLOURS)], index % 2 == 0
+        points = to_array(track) * scale
+        panel.plot(*points.T, color=colour, lw=1.5, label=name)
+        present = ~np.isnan(points).any(-1)
+        start = points[present.argmax()]
+        panel.plot(*start, "o", ms=9, mew=1.5, mfc="none", color=colour)
+        for minute, step in tick_steps(len(points), step_s).items():
+            # A source that stays would have all its numbers in one place, where none could be read.
+            if not present[step] or (points[step] == start).all():
+                continue
+            panel.plot(*points[step], ".", ms=7, color=colour)
+            panel.annotate(
+                str(minute),
+                points[step],
+                xytext=(0, 5 if up else -5),
+                textcoords="offset points",
+                ha="center",
+                va="bottom" if up else "top",
+                color=colour,
+                fontsize="small",
+            )
+    if element_depths is not None:
+        depths = to_array(element_depths) * scale[1]
+        panel.plot(np.zeros_like(depths), depths, "k_", ms=7, mew=1.5, label="array")
+    panel.set_xlabel(axes[0].label)
+    panel.set_ylabel(axes[1].label)
+    panel.margins(y=0.2)
+    if axes[1].downward:
+        panel.invert_yaxis()
+    panel.grid(alpha=0.3)
+    legend_outside(panel)
+    return figure
+
+
+def tick_steps(num_steps: int, step_s: float) -> dict[int, int]:
+    """Steps nearest to every fifth minute, by that minute; the start is none."""
+    last = (num_steps - 1) * step_s / 60
+    minutes = range(TICK_MINUTES, math.floor(last) + 1, TICK_MINUTES)
+    return {minute: round(minute * 60 / step_s) for minute in minutes}
+
+
+def gospa_comparison_figure(
+    scores: Mapping[str, Gospa], hidden: Tensor, step_s: float, unit: str = "m"
+) -> Figure:
+    """Draw the mean GOSPA of several trackers over time; the means in the legend leave hidden steps out.
+
+    Args:
+        scores: `(B, K)` by the tracker's name.
+        hidden: `(K,)` bool, steps in which not every source can be seen, shaded.
+        step_s: seconds from one step to the next; step 0 is at time 0.
+        unit: of the coordinates.
+    """
+    figure = Figure(figsize=(7.2, 3.0), layout="constrained")
+    panel = figure.subplots()
+    minutes = np.arange(len(hidden)) * step_s / 60
+    # Where the flag changes: first hidden step and first visible one, in turn.
+    edges = np.flatnonzero(np.diff(np.pad(to_array(hidden).astype(int), 1))).reshape(-1, 2)
+    for order, (left, right) in enumerate((edges - 0.5) * step_s / 60):
+        panel.axvspan(left, right, color="black", alpha=0.1, lw=0, label=None if order else "hidden")
+    for index, (name, score) in enumerate(scores.items()):
+        curve = score.total.mean(0)
+        mean = curve[~hidden].mean().item()
+        panel.step(
+            minutes,
+            to_array(curve),
+            where="mid",
+            color=method_colour(index),
+            lw=1.0,
+            label=f"{name}, mean {mean:.1f}",
+        )
+    panel.set_xlabel("Time (min)")
+    panel.set_ylabel(f"GOSPA ({unit})")
+    panel.set_ylim(bottom=0)
+    panel.margins(x=0)
+    panel.grid(alpha=0.3)
+    legend_outside(panel)
+    return figure
