@@ -109,7 +109,7 @@ def test_noise_alone_is_left_alone():
 @pytest.mark.parametrize(("scene", "separation"), [(LINE, 3.0), (PLANE, 2.0)])
 def test_picks_are_those_of_the_plain_method(scene, separation):
     field, region = scene
-    detector = make_detector(scene, 1.0, refine=False, points=4, separation=separation)
+    detector = make_detector(scene, threshold=1.0, refine=False, points=4, separation=separation)
     cells = torch.stack(torch.unravel_index(torch.arange(region.num_cells), region.grid_shape), -1).numpy()
     middle = region.cell_centres()[pairs(8, 4, region.cell_centres(), region.grid_shape, 3)]
     z = simulate(9, middle + 0.2 * region.cell, field=field, eta=0.01, J=3)
@@ -130,7 +130,7 @@ def test_picks_are_those_of_the_plain_method(scene, separation):
 def test_points_keep_their_separation_and_come_in_order_of_strength(scene, separation, refine):
     field, region = scene
     z = simulate(10, torch.zeros(8, 0, region.num_coordinates), field=field, eta=1.0)
-    found = make_detector(scene, 0.0, refine=refine, separation=separation)(from_snapshots(z))
+    found = make_detector(scene, threshold=0.0, refine=refine, separation=separation)(from_snapshots(z))
     assert found.present.sum() > 30
     apart = (found.position[:, :, None] - found.position[:, None]).abs() / region.cell
     both = found.present[:, :, None] & found.present[:, None] & ~torch.eye(5, dtype=torch.bool)
@@ -250,3 +250,14 @@ def test_points_above_a_strength():
     found = make_detector(threshold=0.0)(from_snapshots(simulate(22, [[[-31.3], [14.6]]], eta=1e-3)))
     assert found.present.sum() == 5
     assert found.above(float(found.strength[0, 1])).present[0].tolist() == [True, True, False, False, False]
+
+
+def test_sequences_with_fields_of_their_own_may_run_out_of_points():
+    """One sequence has nothing left to pick while another goes on."""
+    stacked = StackedField([LINE[0], LINE[0]])
+    z = torch.stack([simulate(24, [[[-31.0], [15.0]]])[0], simulate(25, [[[15.0]]])[0]])
+    together = make_detector((stacked, LINE[1]))(from_snapshots(z))
+    assert together.present.sum(-1).tolist() == [2, 1]
+    for index in range(2):
+        alone = make_detector()(from_snapshots(z[index]))
+        torch.testing.assert_close(together.position[index], alone.position)

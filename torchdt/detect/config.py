@@ -52,7 +52,7 @@ class SblConfig(DetectorConfig):
     min_iterations: int = 15
     max_iterations: int = 300
     tolerance: float = 1e-4
-    prune: float = 1e-5
+    prune: float = 1e-6
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -107,7 +107,7 @@ class MatchingPursuit:
         columns = residual.permute(1, 2, 0, 3).reshape(num_tones, num_sensors, -1)
         # a^H R; the conjugate moves to the small factor, |.|^2 does not see it.
         product = torch.view_as_real(self.response[group] @ columns.conj().resolve_conj())
-        q = product.square_().reshape(num_tones, -1, steps, 2 * num_columns).sum(-1)
+        q = product.square_().reshape(*product.shape[:2], steps, 2 * num_columns).sum(-1)
         s = self.square[group] @ sensors.permute(1, 2, 0)
         surface = peak_log_likelihood_ratio(J.mT[:, None], s, q)[0].sum(0).mT
         for x, there in zip(position.unbind(-2), present.unbind(-1), strict=True):
