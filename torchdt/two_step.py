@@ -12,6 +12,7 @@ from torchdt.detect.sbl import SparseBayesianLearning
 from torchdt.errors import InputError
 from torchdt.field.base import Field
 from torchdt.history import TrackHistory
+from torchdt.linalg import check_finite
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
@@ -70,10 +71,12 @@ class TwoStepTracker(Tracker[PointState]):
         """Take in one step of data; see `PointTracker.step` for what the estimates mean.
 
         Raises:
-            NumericalError: where a covariance is not positive definite or a message not finite.
+            NumericalError: where a covariance is not positive definite, or the noise or a message not finite.
         """
         with torch.no_grad():
-            return self.tracker.step(state, self.detector(measurement), streams)
+            points = self.detector(measurement)
+            check_finite(points.noise, "noise variance of the points")
+            return self.tracker.step(state, points, streams)
 
 
 def build_detector(field: Field, region: Region, dictionary: Dictionary, config: DetectorConfig) -> Detector:

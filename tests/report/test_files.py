@@ -82,8 +82,11 @@ def test_metrics_json(tmp_path, history, score):
 def test_metrics_json_holds_no_nan(tmp_path, history):
     path = tmp_path / "metrics.json"
     unknown = history._replace(log_evidence=torch.full((2, 6), math.nan))
-    files.write_json(path, files.metrics_summary("matching_pursuit", unknown, None, seed=0, seconds=1.0))
+    summary = files.metrics_summary("mp_bp", unknown, None, seed=0, seconds=1.0)
+    assert math.isnan(summary["log_likelihood"])
+    files.write_json(path, summary)
     content = json.loads(path.read_text())
+    assert content["tracker"] == "mp_bp"
     assert content["gospa"] is None
     assert content["log_likelihood"] is None
 

@@ -1,5 +1,7 @@
 import io
+import math
 
+import torch
 from rich.console import Console
 
 from torchdt.report.tables import print_summary
@@ -11,9 +13,13 @@ def printed(*arguments, **options):
     return console.file.getvalue()
 
 
-def numbers(text, row):
+def cells(text, row):
     line = next(line for line in text.splitlines() if line.strip("│┃ ").startswith(row))
-    return [float(cell) for cell in line.strip("│ ").split("│")[1:]]
+    return [cell.strip() for cell in line.strip("│ ").split("│")[1:]]
+
+
+def numbers(text, row):
+    return [float(cell) for cell in cells(text, row)]
 
 
 def test_several_runs(history, score):
@@ -34,3 +40,14 @@ def test_one_run_without_truth(history):
     assert "GOSPA" not in text
     assert "mean" not in text
     assert "1 run of 6 steps" in text
+
+
+def test_unknown_log_likelihood(history, score):
+    """Of one run, and so of the mean; then of all."""
+    evidence = history.log_evidence.clone()
+    evidence[1, 3] = math.nan
+    text = printed(history._replace(log_evidence=evidence), score, seconds=2.0)
+    assert [cells(text, row)[-1] for row in ("0", "1", "mean")] == ["-9.0", "-", "-"]
+    assert cells(text, "1")[:-1] == ["1.17", "1.50", "67.67", "1.00", "50.00", "16.67"]
+    unknown = history._replace(log_evidence=torch.full_like(evidence, math.nan))
+    assert "nan" not in printed(unknown, score, seconds=2.0)

@@ -76,7 +76,7 @@ def metrics_summary(
     """Content of `metrics.json`.
 
     Args:
-        tracker: name of the method.
+        tracker: name of the tracker, as chosen in the configuration.
         history: batch shape `(B,)`.
         gospa: `(B, K)`, or None without truth.
         seed: of the run.
@@ -84,8 +84,8 @@ def metrics_summary(
 
     Returns:
         `num_steps` is K and `num_runs` B; `steps_per_second` counts the steps of all runs; `log_likelihood`
-        is the sum over the steps, averaged over the runs; `gospa` holds averages over runs and steps, or is
-        None.
+        is the sum over the steps, averaged over the runs, and NaN, in JSON null, where the tracker does not
+        know it; `gospa` holds averages over runs and steps, or is None.
     """
     num_runs, num_steps = history.log_evidence.shape
     return {

@@ -1,7 +1,10 @@
 """The table that closes a run."""
 
+import math
+
 from rich.console import Console
 from rich.table import Table
+from torch import Tensor
 
 from torchdt.history import TrackHistory
 from torchdt.metrics import Gospa
@@ -13,8 +16,8 @@ def print_summary(
     """Print one row per run and, for several runs, their mean.
 
     Columns: mean GOSPA over the steps and its parts, mean number of declared and of true objects, and the
-    log-likelihood; without truth those that need it are left out. The speed, in steps of all runs per second,
-    goes below.
+    log-likelihood, `-` where a tracker does not know it; without truth those that need it are left out. The
+    speed, in steps of all runs per second, goes below.
 
     Args:
         console: where to print.
@@ -25,7 +28,6 @@ def print_summary(
     """
     num_runs, num_steps = history.log_evidence.shape
     columns = {"declared": history.declared.sum(-1).double().mean(-1)}
-    formats = {"declared": ".2f", "log-lik.": ".1f"}
     if gospa is not None:
         columns |= {"true": gospa.num_truth.double().mean(-1)}
         columns |= {"GOSPA": gospa.total.mean(-1), "localisation": gospa.localisation.mean(-1)}
@@ -40,9 +42,15 @@ def print_summary(
     for name in columns:
         table.add_column(name, justify="right")
     for run in range(num_runs):
-        cells = (f"{value[run].item():{formats.get(name, '.2f')}}" for name, value in columns.items())
+        cells = (_cell(name, value[run]) for name, value in columns.items())
         table.add_row(str(run), *cells, end_section=run == num_runs - 1)
     if num_runs > 1:
-        cells = (f"{value.mean().item():{formats.get(name, '.2f')}}" for name, value in columns.items())
+        cells = (_cell(name, value.mean()) for name, value in columns.items())
         table.add_row("mean", *cells, style="bold")
     console.print(table)
+
+
+def _cell(column: str, value: Tensor) -> str:
+    number = value.item()
+    digits = 1 if column == "log-lik." else 2
+    return "-" if math.isnan(number) else f"{number:.{digits}f}"
