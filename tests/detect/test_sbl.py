@@ -8,7 +8,8 @@ from torch import Tensor
 
 from torchdt.detect.config import SblConfig
 from torchdt.detect.dictionary import Dictionary, build_dictionary
-from torchdt.detect.sbl import SparseBayesianLearning, sparse_spectrum, update
+from torchdt.detect.sbl import SparseBayesianLearning
+from torchdt.detect.spectrum import sparse_spectrum, update
 from torchdt.errors import InputError
 from torchdt.field.plane_wave import LineArrayField
 from torchdt.field.stacked import StackedField

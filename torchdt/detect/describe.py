@@ -181,14 +181,10 @@ def describe(response: Tensor, position: Tensor, present: Tensor, measurement: M
     tiny = torch.finfo(J.dtype).tiny
     power = (square / (J[..., None] * fit.norm.square()).clamp_min(tiny)).mT
     noise = left / (J * free.clamp_min(1.0)).clamp_min(tiny)
-    order = torch.where(present, strength, -1.0).argsort(dim=-1, descending=True, stable=True)
     dtype = measurement.num_snapshots.dtype
-    return Points(
-        position.gather(-2, order[..., None].expand_as(position)),
-        strength.gather(-1, order).to(dtype),
-        power.gather(-2, order[..., None].expand_as(power)).to(dtype),
-        present.gather(-1, order),
-        noise.to(dtype),
+    points = Points(position, strength, power, present, noise).strongest_first()
+    return points._replace(
+        strength=points.strength.to(dtype), power=points.power.to(dtype), noise=noise.to(dtype)
     )
 
 

@@ -35,7 +35,8 @@ from torchdt.detect.config import SblConfig
 from torchdt.detect.dictionary import build_dictionary
 from torchdt.detect.peaks import find_peaks
 from torchdt.detect.points import Points
-from torchdt.detect.sbl import SparseBayesianLearning, sparse_spectrum
+from torchdt.detect.sbl import SparseBayesianLearning
+from torchdt.detect.spectrum import sparse_spectrum
 from torchdt.errors import InputError, require
 from torchdt.experiment.build import build_region, build_tracking_field, simulate
 from torchdt.experiment.settings import TrackSettings, settings_of
