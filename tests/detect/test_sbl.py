@@ -78,7 +78,7 @@ def test_powers_are_those_of_the_plain_implementation(noise):
     z = simulate(*CELLS, noise=noise)
     ours = spectrum(z, SblConfig(prune=0.0))
     for step in range(2):
-        plain = oracle.learn(*numpy_problem(z[step]), REGION.grid_shape, 3)
+        plain = oracle.learn(*numpy_problem(z[step]), REGION.grid_shape, 3, max_iterations=300)
         assert ours.iterations[step] == plain.iterations
         np.testing.assert_allclose(ours.power[step], plain.power, atol=1e-8 * plain.power.max())
         np.testing.assert_allclose(ours.noise[step], plain.noise, rtol=1e-6)
