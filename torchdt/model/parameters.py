@@ -6,8 +6,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from torchdt.config import TrackerConfig
-from torchdt.errors import require
-from torchdt.model.region import Region
+from torchdt.model.region import Region, per_coordinate
 
 
 class Parameters(NamedTuple):
@@ -43,12 +42,7 @@ def default_parameters(config: TrackerConfig, region: Region) -> Parameters:
     Raises:
         InputError: where `driving_variance` is not one number for each coordinate.
     """
-    driving = region.driving_variance
-    if config.driving_variance is not None:
-        expected = f"one number for each of {region.num_coordinates} coordinates"
-        fits = len(config.driving_variance) == region.num_coordinates
-        require(fits, "tracker.driving_variance", config.driving_variance, expected)
-        driving = driving.new_tensor(config.driving_variance)
+    driving = per_coordinate(config.driving_variance, region.driving_variance, "tracker.driving_variance")
     scalars = {
         name: driving.new_tensor(getattr(config, name))
         for name in Parameters._fields

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchdt.errors import require
+
 
 @dataclass(frozen=True)
 class Coordinate:
@@ -110,3 +112,15 @@ class Region:
         positions = [f"{c.name}_{c.unit}" for c in self.coordinates]
         rates = [f"{c.name}_rate_{c.unit}ps" for c in self.coordinates]
         return (*positions, *rates)
+
+
+def per_coordinate(values: Sequence[float] | None, default: Tensor, key: str) -> Tensor:
+    """A setting with one number for each coordinate, `(d,)`; the default where it is None.
+
+    Raises:
+        InputError: naming the key, where the numbers are not as many as the coordinates.
+    """
+    if values is None:
+        return default
+    require(len(values) == len(default), key, values, f"one number for each of {len(default)} coordinates")
+    return default.new_tensor(values)

@@ -7,8 +7,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from torchdt.errors import require
-from torchdt.model.region import Region
+from torchdt.model.region import Region, per_coordinate
 
 
 class PointLikelihood(Protocol):
@@ -97,15 +96,3 @@ class GaussianPosition:
         rate = torch.lerp(region.rate_low, region.rate_high, torch.special.ndtr(draws[..., d:]))
         log_weight = torch.where(region.contains(position), -self._log_volume, -torch.inf)
         return torch.cat([position, rate], -1), log_weight
-
-
-def per_coordinate(values: Sequence[float] | None, default: Tensor, key: str) -> Tensor:
-    """A setting with one number for each coordinate, `(d,)`; the default where it is None.
-
-    Raises:
-        InputError: naming the key, where the numbers are not as many as the coordinates.
-    """
-    if values is None:
-        return default
-    require(len(values) == len(default), key, values, f"one number for each of {len(default)} coordinates")
-    return default.new_tensor(values)

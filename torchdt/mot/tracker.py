@@ -11,9 +11,9 @@ from torchdt.conclude import declare, idle_particles, prune, put_idle, resample_
 from torchdt.detect.points import Points
 from torchdt.history import TrackHistory
 from torchdt.model.kinematics import drop_outside, predict_log_odds, predict_state
-from torchdt.model.region import Region
+from torchdt.model.region import Region, per_coordinate
 from torchdt.mot.config import PointConfig
-from torchdt.mot.likelihood import PointLikelihood, per_coordinate
+from torchdt.mot.likelihood import PointLikelihood
 from torchdt.mot.update import update
 from torchdt.particles.weights import effective_sample_size, normalise
 from torchdt.random import RandomStreams
