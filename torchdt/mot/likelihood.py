@@ -7,6 +7,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from torchdt.errors import require
 from torchdt.model.region import Region, per_coordinate
 
 
