@@ -105,6 +105,7 @@ def gospa_comparison_figure(
             where="mid",
             color=method_colour(index),
             lw=1.0,
+            zorder=3 - index / len(scores),  # the first one in front
             label=f"{name}, mean {mean:.1f}",
         )
     panel.set_xlabel("Time (min)")
