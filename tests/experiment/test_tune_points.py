@@ -1,4 +1,5 @@
 import csv
+from dataclasses import replace
 
 import pytest
 import torch
@@ -10,7 +11,14 @@ from oracles.scripts import call, load
 from torchdt.detect.config import PursuitConfig
 from torchdt.errors import InputError
 from torchdt.experiment.settings import settings_of
-from torchdt.experiment.tune_points import TunePointsSettings, decode, encode
+from torchdt.experiment.tune_points import (
+    TunePointsSettings,
+    decode,
+    detect,
+    encode,
+    evaluate,
+    two_step,
+)
 from torchdt.two_step import TwoStepConfig
 
 REGION = make_region()
@@ -115,3 +123,21 @@ def test_tuned_values_fit_the_configuration_of_the_tracker():
             settings = settings_of(compose("track", overrides=[f"tracker={tracker}"]))
             assert isinstance(settings.tracker, TwoStepConfig)
             assert settings.tracker.birth_mean / settings.tracker.clutter_mean > settings.tracker.prune
+
+
+def test_points_below_the_threshold_that_is_tried_are_not_tracked():
+    sizes = [
+        "scenario.num_steps=8",
+        "tracker.particles=100",
+        "tracker.slots=4",
+        "tracker.detector.threshold=5",
+    ]
+    settings = TunePointsSettings(suite=["line_array"], trackers=["mp_bp"], overrides=sizes)
+    with initialize_config_module("torchdt.conf", version_base="1.3"):
+        part = detect("line_array", settings)
+    assert part.points.present.any()
+    config = two_step(part.settings)
+    deaf = replace(config, detector=replace(config.detector, threshold=1e6))
+    truth = part.recording.truth_mask
+    assert evaluate([part], deaf, settings) == pytest.approx([5.0 * float(truth.sum(-1).double().mean())])
+    assert evaluate([part], config, settings)[0] < 0.8 * evaluate([part], deaf, settings)[0]
