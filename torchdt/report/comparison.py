@@ -11,7 +11,15 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torchdt.metrics import Gospa
-from torchdt.report.figures import COLOURS, WAVEGUIDE_AXES, Axis, legend_outside, method_colour, to_array
+from torchdt.report.figures import (
+    COLOURS,
+    WAVEGUIDE_AXES,
+    Axis,
+    finish_gospa,
+    legend_outside,
+    method_colour,
+    to_array,
+)
 
 TICK_MINUTES = 5
 
@@ -108,10 +116,5 @@ def gospa_comparison_figure(
             zorder=3 - index / len(scores),  # the first one in front
             label=f"{name}, mean {mean:.1f}",
         )
-    panel.set_xlabel("Time (min)")
-    panel.set_ylabel(f"GOSPA ({unit})")
-    panel.set_ylim(bottom=0)
-    panel.margins(x=0)
-    panel.grid(alpha=0.3)
-    legend_outside(panel)
+    finish_gospa(panel, unit)
     return figure

@@ -106,12 +106,7 @@ def gospa_figure(gospa: Gospa, times: Tensor, unit: str = "m") -> Figure:
     panel.step(
         minutes, to_array(gospa.total), where="mid", color="black", lw=0.8, label=f"GOSPA, mean {mean:.1f}"
     )
-    panel.set_xlabel("Time (min)")
-    panel.set_ylabel(f"GOSPA ({unit})")
-    panel.set_ylim(bottom=0)
-    panel.margins(x=0)
-    panel.grid(alpha=0.3)
-    legend_outside(panel)
+    finish_gospa(panel, unit)
     return figure
 
 
@@ -186,6 +181,16 @@ def method_colour(index: int) -> str:
 def to_array(values: Tensor) -> np.ndarray:
     """What matplotlib takes, on the CPU and without gradient."""
     return values.detach().cpu().numpy()
+
+
+def finish_gospa(panel: Axes, unit: str) -> None:
+    """Label a panel of GOSPA over minutes, and put its legend beside it."""
+    panel.set_xlabel("Time (min)")
+    panel.set_ylabel(f"GOSPA ({unit})")
+    panel.set_ylim(bottom=0)
+    panel.margins(x=0)
+    panel.grid(alpha=0.3)
+    legend_outside(panel)
 
 
 def legend_outside(panel: Axes, num_hidden: int = 0) -> None:
