@@ -11,6 +11,7 @@ from torchdt.detect.config import PursuitConfig
 from torchdt.detect.dictionary import build_dictionary
 from torchdt.detect.points import Points
 from torchdt.detect.pursuit import MatchingPursuit
+from torchdt.errors import InputError
 from torchdt.field.plane_wave import LineArrayField
 from torchdt.field.stacked import StackedField
 from torchdt.model.measurement import Measurement, from_covariance, from_snapshots
@@ -24,7 +25,8 @@ THRESHOLD = 6.0
 
 def make_detector(scene=LINE, **config) -> MatchingPursuit:
     field, region = scene
-    settings = PursuitConfig(**({"points": 5, "threshold": THRESHOLD} | config))
+    threshold = config.get("threshold", THRESHOLD)
+    settings = PursuitConfig(**({"points": 5, "threshold": threshold, "pick_threshold": threshold} | config))
     return MatchingPursuit(field, region, build_dictionary(field, region), settings)
 
 
@@ -261,3 +263,18 @@ def test_sequences_with_fields_of_their_own_may_run_out_of_points():
     for index in range(2):
         alone = make_detector()(from_snapshots(z[index]))
         torch.testing.assert_close(together.position[index], alone.position)
+
+
+def test_picks_go_on_below_the_threshold_of_the_points():
+    """The points kept are those of all picks, and as strong as they are beside them."""
+    z = from_snapshots(simulate(26, [[[-31.3], [14.6]]], eta=1e-2))
+    everything = make_detector(threshold=0.0)(z)
+    strong = make_detector(threshold=20.0, pick_threshold=0.0)(z)
+    assert everything.present.sum() == 5
+    assert strong.present.sum() == 2
+    same(strong._replace(present=everything.present), everything)
+
+
+def test_pick_threshold_out_of_range():
+    with pytest.raises(InputError, match=r"tracker\.detector\.pick_threshold.*-1"):
+        PursuitConfig(pick_threshold=-1.0)

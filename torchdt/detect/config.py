@@ -34,7 +34,19 @@ class DetectorConfig:
 
 @dataclass
 class PursuitConfig(DetectorConfig):
-    """Matching pursuit; picking stops where the best cell does not reach the threshold either."""
+    """Matching pursuit.
+
+    Attributes:
+        pick_threshold: log-likelihood ratio in nats that the best cell must reach to be picked. Lower than
+            `threshold`: close sources come apart only when both are picked and moved together.
+    """
+
+    pick_threshold: float = 9.3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        positive = 0 <= self.pick_threshold < math.inf
+        self._require("pick_threshold", positive, "a number from 0 up")
 
 
 @dataclass

@@ -58,7 +58,7 @@ class MatchingPursuit:
         for pick in range(Q):
             remainder = project_out(self.field(position), present, measurement)
             score, cell = self._best_cell(remainder, measurement.present, position, present, alive)
-            alive = alive & (score > self.config.threshold)
+            alive = alive & (score > self.config.pick_threshold)
             if not bool(alive.any()):
                 break
             index = torch.full_like(cell, pick)
