@@ -63,7 +63,7 @@ def test_a_factor_of_e_for_each_unit_and_less_for_the_threshold():
 
 @pytest.mark.parametrize("tracker", ["mp_bp", "sbl_bp"])
 def test_the_best_settings_are_those_of_the_table(search, tracker):
-    directory, status, err = search(f"trackers=[{tracker}]")
+    directory, status, err = search(f"method={tracker}")
     assert status == 0, err
     with (directory / "search.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -94,17 +94,15 @@ def test_the_first_evaluation_is_the_configured_tracker(search, tmp_path):
 
 
 def test_only_two_step_trackers(search):
-    _, status, err = search("trackers=[direct]")
+    _, status, err = search("method=direct")
     assert status == 1
     assert "two-step tracker" in err
 
 
-@pytest.mark.parametrize(
-    ("key", "value"), [("trackers", ["mp_bp", "sbl_bp"]), ("evaluations", 0), ("width", 0.0)]
-)
+@pytest.mark.parametrize(("key", "value"), [("suite", []), ("runs", 0), ("evaluations", 0), ("width", 0.0)])
 def test_settings_out_of_range(key, value):
     with pytest.raises(InputError, match=rf"key '{key}'"):
-        TunePointsSettings(**({"suite": ["line_array"], "trackers": ["mp_bp"]} | {key: value}))
+        TunePointsSettings(**({"suite": ["line_array"]} | {key: value}))
 
 
 def test_scenarios_that_do_not_fit_in_one_batch(search):
@@ -132,7 +130,7 @@ def test_points_below_the_threshold_that_is_tried_are_not_tracked():
         "tracker.slots=4",
         "tracker.detector.threshold=5",
     ]
-    settings = TunePointsSettings(suite=["line_array"], trackers=["mp_bp"], overrides=sizes)
+    settings = TunePointsSettings(suite=["line_array"], overrides=sizes)
     with initialize_config_module("torchdt.conf", version_base="1.3"):
         part = detect("line_array", settings)
     assert part.points.present.any()

@@ -4,7 +4,7 @@ import dataclasses
 import logging
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -136,7 +136,9 @@ def run_compare(config: DictConfig) -> list[Comparison]:
         for name in settings.trackers:
             row = Comparison(scenario, tracker=name)
             try:
-                track_settings = compose_settings(scenario, name, settings)
+                track_settings = compose_settings(
+                    scenario, name, settings.overrides, settings.seed, settings.runs
+                )
                 stage = stage or set_stage(track_settings, settings)
                 outcomes[name] = outcome = assess(scenario, stage, track_settings, settings)
                 first = outcomes.get(settings.trackers[0])
@@ -155,10 +157,11 @@ def run_compare(config: DictConfig) -> list[Comparison]:
     return rows
 
 
-def compose_settings(scenario: str, tracker: str, settings: CompareSettings) -> TrackSettings:
+def compose_settings(
+    scenario: str, tracker: str, overrides: Sequence[str], seed: int, runs: int
+) -> TrackSettings:
     """Settings of `experiments/track.py` for one tracker in one scenario."""
-    batch = [f"seed={settings.seed}", f"runs={settings.runs}"]
-    choices = [f"scenario={scenario}", f"tracker={tracker}", *settings.overrides, *batch]
+    choices = [f"scenario={scenario}", f"tracker={tracker}", *overrides, f"seed={seed}", f"runs={runs}"]
     return settings_of(compose("track", overrides=choices))
 
 

@@ -21,7 +21,7 @@ from torchdt.atomic import atomic_write
 from torchdt.detect.points import Points
 from torchdt.errors import InputError, require
 from torchdt.experiment.build import build_tracker, build_tracking_field, simulate
-from torchdt.experiment.compare import CompareSettings, compose_settings
+from torchdt.experiment.compare import compose_settings
 from torchdt.experiment.settings import TrackSettings
 from torchdt.experiment.track import score_history
 from torchdt.history import TrackHistory
@@ -45,22 +45,34 @@ FINER = 3.0
 
 
 @dataclass
-class TunePointsSettings(CompareSettings):
+class TunePointsSettings:
     """Settings of `experiments/tune_points.py`.
 
     Attributes:
+        name: of the search, for the run directory.
+        method: the tracker that is tuned, an option of the group `tracker`.
+        suite: names of scenarios.
+        runs: of each scenario.
+        seed: of the first run, and of the search.
+        overrides: of the configuration of `experiments/track.py`, in every scenario.
         evaluations: settings that are tried; the first are those configured.
         width: half the range that is searched, in logarithms (of the odds, for a probability) around those.
     """
 
+    name: str = "default"
+    method: str = "mp_bp"
+    suite: list[str] = dataclasses.field(default_factory=list)
+    runs: int = 1
+    seed: int = 1000
+    overrides: list[str] = dataclasses.field(default_factory=list)
     evaluations: int = 100
     width: float = 2.3
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        one = f"{len(self.trackers)} of them"
-        require(len(self.trackers) == 1, "trackers", one, "the one that is tuned")
-        require(self.evaluations >= 1, "evaluations", self.evaluations, "a positive integer")
+        distinct = len(set(self.suite)) == len(self.suite) > 0
+        require(distinct, "suite", self.suite, "at least one, each once")
+        for key in ("runs", "evaluations"):
+            require(getattr(self, key) >= 1, key, getattr(self, key), "a positive integer")
         require(0 < self.width < math.inf, "width", self.width, "a positive number")
 
 
@@ -128,7 +140,9 @@ def run_tune_points(config: DictConfig) -> float:
 
 def detect(scenario: str, settings: TunePointsSettings) -> Detected:
     """Simulate a scenario and detect points in all of its steps, down to the lowest threshold searched."""
-    track_settings = compose_settings(scenario, settings.trackers[0], settings)
+    track_settings = compose_settings(
+        scenario, settings.method, settings.overrides, settings.seed, settings.runs
+    )
     config = two_step(track_settings)
     lowest = config.detector.threshold * math.exp(-settings.width / FINER)
     config = replace(config, detector=replace(config.detector, threshold=lowest))
@@ -153,7 +167,7 @@ def two_step(settings: TrackSettings) -> TwoStepConfig:
         InputError: where they are those of another one.
     """
     if not isinstance(settings.tracker, TwoStepConfig):
-        raise InputError.of_key("trackers", type(settings.tracker).__name__, "a two-step tracker")
+        raise InputError.of_key("method", type(settings.tracker).__name__, "a two-step tracker")
     return settings.tracker
 
 
