@@ -4,13 +4,16 @@ import math
 
 import pytest
 import torch
-from oracles.line_array import make_tracker, simulate
+from oracles.line_array import FREQS, POSITIONS, make_tracker, simulate
 
+from torchdt.field.plane_wave import LineArrayField
+from torchdt.field.stacked import StackedField
 from torchdt.history import TrackHistory
 from torchdt.linalg import NumericalError
 from torchdt.model.measurement import from_snapshots
 from torchdt.model.prior import data_priors
 from torchdt.random import RandomStreams
+from torchdt.tracker import DirectTracker
 
 TWO = (((0.0, -40.0), (20.0, -25.0)), ((0.0, 30.0), (20.0, 20.0)))
 ONE = (((0.0, 5.0), (20.0, 12.0)),)
@@ -295,3 +298,22 @@ def test_initial_state():
     assert state.objects.state.shape == (1, 4, 200, 2)
     assert (state.noise.variance <= priors.noise_max[..., None]).all()
     torch.testing.assert_close(state.noise.log_weight.exp().sum(-1), torch.ones(1, 2, dtype=torch.float64))
+
+
+def test_some_sequences_share_what_all_share():
+    tracker = make_tracker()
+    part = tracker.select(slice(1, 3))
+    assert part.dictionary is tracker.dictionary
+    assert part.parameters == tracker.parameters
+
+
+def test_some_sequences_have_fields_and_numbers_of_their_own():
+    plain = make_tracker()
+    fields = [LineArrayField(FREQS, POSITIONS, c, dtype=torch.float64) for c in (1500.0, 1400.0, 1600.0)]
+    survival = torch.tensor([0.5, 0.6, 0.7], dtype=torch.float64)
+    numbers = plain.parameters._replace(survival=survival)
+    tracker = DirectTracker(StackedField(fields), plain.region, 1.0, plain.config, numbers)
+    part = tracker.select(slice(1, 3))
+    assert part.field.fields == tuple(fields[1:])
+    assert part.parameters.survival.tolist() == [0.6, 0.7]
+    assert torch.equal(part.dictionary.response, tracker.dictionary.response[1:])

@@ -3,15 +3,21 @@
 import pytest
 import torch
 from oracles.arrays import sample_covariance
-from oracles.line_array import make_tracker, simulate
+from oracles.line_array import FREQS, POSITIONS, make_tracker, simulate
 
+from torchdt.chunks import bytes_per_sequence
+from torchdt.detect.dictionary import build_dictionary
 from torchdt.errors import InputError
+from torchdt.field.plane_wave import LineArrayField
+from torchdt.field.stacked import StackedField
 from torchdt.history import TrackHistory
+from torchdt.linalg import NumericalError
 from torchdt.prepare import Prepared, prepare
 from torchdt.scenario.recording import Recording, validate
 from torchdt.tracker import DirectTracker
 from torchdt.tracking import derive_seed, generator, track
 
+SEEDS, SPEEDS, POISON = [7, 8, 9, 10, 11], (1500.0, 1480.0, 1520.0, 1500.0, 1490.0), 1234.5
 TWO = (((0.0, -40.0), (20.0, -25.0)), ((0.0, 30.0), (20.0, 20.0)))
 
 
@@ -126,8 +132,117 @@ def test_zeros_are_named(snapshots):
 
 
 def test_wrong_number_of_seeds_is_named(snapshots):
-    with pytest.raises(ValueError, match="generators: found 1, expected 2"):
-        track(record(snapshots), make_tracker(), [1])
+    for seeds in ([1], [1, 2, 3]):
+        with pytest.raises(InputError, match=f"key 'seeds': found {len(seeds)}, expected 2, one for each"):
+            track(record(snapshots), make_tracker(), seeds)
+
+
+@pytest.fixture(scope="module")
+def five() -> Recording:
+    """Short sequences of which no two are alike, in units of their own."""
+    sequences = [simulate(seed, *TWO[:count], steps=6)[0] for seed, count in enumerate((2, 0, 1, 2, 1))]
+    return record(torch.stack(sequences) * torch.logspace(-3, 3, 5)[:, None, None, None, None])
+
+
+@pytest.fixture(scope="module")
+def own_fields() -> StackedField:
+    return StackedField([LineArrayField(FREQS, POSITIONS, c, dtype=torch.float64) for c in SPEEDS])
+
+
+def gigabytes(tracker: DirectTracker, recording: Recording, sequences: int) -> float:
+    """Memory for so many sequences."""
+    return (sequences + 0.5) * bytes_per_sequence(tracker, recording) / 1e9
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize("fields", ["shared", "own"])
+@pytest.mark.parametrize(("at_once", "workers"), [(1, 1), (2, 1), (4, 2), (5, 3)])
+def test_neither_chunks_nor_workers_change_the_tracks(five, own_fields, dtype, fields, at_once, workers):
+    tracker = make_tracker(dtype)
+    if fields == "own":
+        stack = StackedField([LineArrayField(FREQS, POSITIONS, c, dtype=dtype) for c in SPEEDS])
+        tracker = DirectTracker(stack, tracker.region, 1.0, tracker.config)
+    whole = track(five, tracker, SEEDS)
+    steps = []
+    chunked = track(
+        five,
+        tracker,
+        SEEDS,
+        lambda step, estimate, sequences: steps.append((sequences.start, sequences.stop, step)),
+        memory_gb=gigabytes(tracker, five, at_once),
+        workers=workers,
+    )
+    assert len({start for start, _, _ in steps}) >= 2
+    counted = [(b, step) for start, stop, step in steps for b in range(start, stop)]
+    assert sorted(counted) == [(b, step) for b in range(5) for step in range(6)]
+    tolerance = 1e-6 if dtype == torch.float64 else 2e-3
+    assert_same_tracks(chunked, whole, rtol=tolerance, atol=tolerance)
+    torch.testing.assert_close(chunked.log_evidence, whole.log_evidence, rtol=tolerance, atol=1e-3)
+    torch.testing.assert_close(chunked.noise, whole.noise, rtol=tolerance, atol=0)
+
+
+def test_sequences_keep_numbers_and_fields_of_their_own(five, own_fields):
+    """The third of five, in a chunk of its own, beside the same sequence alone."""
+    tracker = make_tracker()
+    survival = torch.tensor([0.5, 0.6, 0.7, 0.8, 0.9], dtype=torch.float64)
+    parameters = tracker.parameters._replace(survival=survival)
+    stacked = DirectTracker(own_fields, tracker.region, 1.0, tracker.config, parameters)
+    history = track(five, stacked, SEEDS, memory_gb=gigabytes(stacked, five, 1))
+    one = DirectTracker(
+        own_fields.fields[2],
+        tracker.region,
+        1.0,
+        tracker.config,
+        parameters._replace(survival=survival[2]),
+    )
+    alone = track(five.select(slice(2, 3)), one, SEEDS[2:3])
+    found = TrackHistory(*(t[2:3] for t in history))
+    assert_same_tracks(found, alone, rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(found.log_evidence, alone.log_evidence, rtol=1e-6, atol=1e-6)
+    other = track(five.select(slice(2, 3)), one.with_parameters(tracker.parameters), SEEDS[2:3])
+    assert (other.log_evidence - alone.log_evidence).abs().max() > 1e-3
+
+
+def test_a_chunk_has_its_own_part_of_the_dictionary_alone(five, own_fields, monkeypatch):
+    sizes = []
+
+    def recorded(field, region):
+        dictionary = build_dictionary(field, region)
+        sizes.append(dictionary.response.shape[0])
+        return dictionary
+
+    monkeypatch.setattr("torchdt.tracker.build_dictionary", recorded)
+    tracker = DirectTracker(own_fields, make_tracker().region, 1.0, make_tracker().config)
+    track(five, tracker, SEEDS, memory_gb=gigabytes(tracker, five, 2))
+    assert sizes == [1, 2, 2]
+    sizes.clear()
+    track(five, make_tracker(), SEEDS, memory_gb=gigabytes(tracker, five, 2))
+    assert sizes == [len(FREQS)]  # one for all, without a batch dimension
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_breakdown_names_the_sequences_of_its_chunk(five, workers):
+    class Broken(DirectTracker):
+        def step(self, state, measurement, priors, streams):
+            if len(measurement.factor) == 2 and (measurement.factor[:, 0, 0, 0] == POISON).any():
+                raise NumericalError("covariance: not positive definite")
+            return super().step(state, measurement, priors, streams)
+
+        def prepare(self, recording):
+            prepared = super().prepare(recording)
+            prepared.measurement.factor[recording.data[:, 0, 0, 0, 0] == five.data[3, 0, 0, 0, 0]] = POISON
+            return prepared
+
+    tracker = Broken(make_tracker().field, make_tracker().region, 1.0, make_tracker().config)
+    with pytest.raises(NumericalError, match=r"^sequences 3-4: covariance: not positive definite$"):
+        track(five, tracker, SEEDS, memory_gb=gigabytes(tracker, five, 2 * workers), workers=workers)
+
+
+def test_estimates_are_made_in_inference_mode_and_without_gradient(five):
+    modes = []
+    track(five, make_tracker(), SEEDS, lambda *_: modes.append(torch.is_inference_mode_enabled()), workers=2)
+    assert modes == [True] * 12
+    assert not torch.is_inference_mode_enabled()
 
 
 def test_seeds_of_different_purposes_differ():

@@ -304,3 +304,16 @@ def test_spread_is_in_cells_of_its_coordinate():
 def test_a_recording_of_another_array_is_named(mixed, detector):
     with pytest.raises(InputError, match="found 7 sensors, expected 8 sensors"):
         track(record(mixed[..., :7]), make_tracker(detector), [1, 2, 3])
+
+
+@either
+def test_some_sequences_share_what_all_share(detector):
+    tracker = make_tracker(detector)
+    part = tracker.select(slice(1, 3))
+    assert part.dictionary is tracker.dictionary
+    assert part.detector is tracker.detector
+    fields = [LineArrayField(FREQS, POSITIONS, c, dtype=torch.float64) for c in (1500.0, 1400.0, 1600.0)]
+    own = make_tracker(detector, field=StackedField(fields)).select(slice(1, 3))
+    assert own.field.fields == tuple(fields[1:])
+    assert own.dictionary.response.shape[0] == 2
+    assert own.tracker.step_s == tracker.tracker.step_s

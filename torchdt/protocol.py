@@ -1,10 +1,11 @@
 """What every tracker offers."""
 
-from collections.abc import Callable
-from typing import Protocol, TypeVar
+from collections.abc import Callable, Iterable, Iterator
+from typing import Protocol, Self, TypeVar
 
 import torch
 
+from torchdt.config import ObjectConfig
 from torchdt.detect.dictionary import Dictionary
 from torchdt.field.base import Field
 from torchdt.history import TrackHistory
@@ -19,17 +20,26 @@ State = TypeVar("State")
 
 
 class Tracker(Protocol[State]):
-    """From array data to tracks, step by step; inherit from it for `run`.
+    """From array data to tracks, step by step; inherit from it for `stream` and `run`.
 
     Attributes:
         field: array response.
         region: region of interest; its dtype and device are those of the tracker.
-        dictionary: responses of the field at the centres of the birth cells.
+        config: numbers of the model and the filter.
     """
 
     field: Field
     region: Region
-    dictionary: Dictionary
+    config: ObjectConfig
+
+    @property
+    def dictionary(self) -> Dictionary:
+        """Responses of the field at the centres of the birth cells, evaluated when first asked for."""
+        ...
+
+    def select(self, sequences: slice) -> Self:
+        """The same tracker for some sequences of its batch; what all sequences share stays shared."""
+        ...
 
     def prepare(self, recording: Recording) -> Prepared:
         """Bring a recording into the form and units in which the tracker takes it."""
@@ -49,6 +59,26 @@ class Tracker(Protocol[State]):
         """
         ...
 
+    def stream(
+        self, measurements: Iterable[Measurement], priors: Priors, streams: RandomStreams
+    ) -> Iterator[TrackHistory]:
+        """Track data as they arrive: only the belief after the last step is kept.
+
+        For tracking without gradients, take the estimates under `torch.inference_mode()`.
+
+        Args:
+            measurements: statistics of one step after another, each of batch `(*batch,)`.
+            priors: limits of the priors, batch `(*batch,)`.
+            streams: random numbers of batch `(*batch,)`.
+
+        Yields:
+            The estimates of each step: a `TrackHistory` without its time dimension.
+        """
+        state = self.init(priors)
+        for measurement in measurements:
+            state, estimate = self.step(state, measurement, priors, streams)
+            yield estimate
+
     def run(
         self,
         measurement: Measurement,
@@ -65,9 +95,9 @@ class Tracker(Protocol[State]):
             on_step: called after each step with its index and the estimates of that step.
         """
         batch_dims = priors.noise_max.ndim - 1
-        state, steps = self.init(priors), []
-        for k in range(measurement.num_snapshots.shape[batch_dims]):
-            state, estimate = self.step(state, measurement.at(k), priors, streams)
+        measurements = map(measurement.at, range(measurement.num_snapshots.shape[batch_dims]))
+        steps = []
+        for k, estimate in enumerate(self.stream(measurements, priors, streams)):
             steps.append(estimate)
             if on_step is not None:
                 on_step(k, estimate)

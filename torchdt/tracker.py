@@ -2,6 +2,7 @@
 
 import copy
 import math
+from functools import cached_property
 from typing import NamedTuple, Self
 
 import torch
@@ -13,8 +14,9 @@ from torchdt.bp.evidence import gaussian_evidence, sampled_evidence
 from torchdt.bp.schedule import Beliefs, update
 from torchdt.conclude import conclude, empty_slots, idle_particles, resample
 from torchdt.config import TrackerConfig
-from torchdt.detect.dictionary import build_dictionary
+from torchdt.detect.dictionary import Dictionary, build_dictionary
 from torchdt.field.base import Field
+from torchdt.field.stacked import select_field
 from torchdt.history import TrackHistory
 from torchdt.model.birth import birth_log_odds, log_no_birth
 from torchdt.model.gamma_chain import predict_chain, uniform_prior
@@ -74,8 +76,20 @@ class DirectTracker(Tracker[TrackerState]):
     ):
         self.field, self.region, self.step_s, self.config = field, region, step_s, config
         self.parameters = default_parameters(config, region) if parameters is None else parameters
-        self.dictionary = build_dictionary(field, region)
         self._idle = idle_particles(region, config.particles)
+
+    @cached_property
+    def dictionary(self) -> Dictionary:
+        """Responses of the field at the centres of the birth cells, evaluated when first asked for."""
+        return build_dictionary(self.field, self.region)
+
+    def select(self, sequences: slice) -> Self:
+        """The same tracker for some sequences of its batch; what all sequences share stays shared."""
+        field, parameters = select_field(self.field, sequences), self.parameters.select(sequences)
+        other = type(self)(field, self.region, self.step_s, self.config, parameters)
+        if field is self.field:
+            other.dictionary = self.dictionary
+        return other
 
     def with_parameters(self, parameters: Parameters) -> Self:
         """The same tracker with other numbers of the model."""

@@ -1,6 +1,8 @@
 """Conventional tracking in two steps: detect points in the array data, then track the points."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Self
 
 import torch
 
@@ -11,6 +13,7 @@ from torchdt.detect.pursuit import MatchingPursuit
 from torchdt.detect.sbl import SparseBayesianLearning
 from torchdt.errors import InputError
 from torchdt.field.base import Field
+from torchdt.field.stacked import select_field
 from torchdt.history import TrackHistory
 from torchdt.linalg import check_finite
 from torchdt.model.measurement import Measurement
@@ -46,15 +49,35 @@ class TwoStepTracker(Tracker[PointState]):
         config: numbers of the detector and the tracker.
 
     Raises:
-        InputError: where the settings are those of no known detector, or do not fit the region.
+        InputError: where the settings do not fit the region.
     """
 
     def __init__(self, field: Field, region: Region, step_s: float, config: TwoStepConfig):
         self.field, self.region, self.config = field, region, config
-        self.dictionary = build_dictionary(field, region)
-        self.detector = build_detector(field, region, self.dictionary, config.detector)
         likelihood = GaussianPosition(region, config.spread_in(region))
         self.tracker = PointTracker(region, step_s, config, likelihood)
+
+    @cached_property
+    def dictionary(self) -> Dictionary:
+        """Responses of the field at the centres of the birth cells, evaluated when first asked for."""
+        return build_dictionary(self.field, self.region)
+
+    @cached_property
+    def detector(self) -> Detector:
+        """The detector of the settings, made when first asked for: it holds the dictionary.
+
+        Raises:
+            InputError: where the settings are those of no known detector, or do not fit the array.
+        """
+        return build_detector(self.field, self.region, self.dictionary, self.config.detector)
+
+    def select(self, sequences: slice) -> Self:
+        """The same tracker for some sequences of its batch; what all sequences share stays shared."""
+        field = select_field(self.field, sequences)
+        other = type(self)(field, self.region, self.tracker.step_s, self.config)
+        if field is self.field:
+            other.dictionary, other.detector = self.dictionary, self.detector
+        return other
 
     def prepare(self, recording: Recording) -> Prepared:
         """Scale a recording, see `prepare`."""

@@ -2,7 +2,7 @@ import time
 
 import torch
 
-from torchdt.benchmark.clock import clock, describe_machine
+from torchdt.benchmark.clock import clock, clock_in_turn, describe_machine
 
 
 def test_the_clock_returns_what_was_asked():
@@ -14,6 +14,15 @@ def test_the_clock_returns_what_was_asked():
 def test_the_clock_takes_a_device_by_name_or_as_such():
     for device in ("cpu", torch.device("cpu")):
         assert clock(lambda: 7, device)[1] == 7
+
+
+def test_calls_are_made_in_turn_after_one_that_does_not_count():
+    made = []
+    calls = {name: lambda name=name: made.append(name) or time.sleep(0.002) for name in "ab"}
+    seconds = clock_in_turn(calls, 3)
+    assert made == list("abababab")
+    assert list(seconds) == ["a", "b"]
+    assert all(len(taken) == 3 and min(taken) >= 0.002 for taken in seconds.values())
 
 
 def test_the_machine_is_described():

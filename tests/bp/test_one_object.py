@@ -1,5 +1,7 @@
 """Sampled evidence of one object with a Gaussian prediction on a line array, against quadrature."""
 
+import math
+
 import pytest
 import torch
 from oracles.arrays import direct_log_likelihood
@@ -35,9 +37,9 @@ def sample(measurement: Measurement, mean: float, deviation: float, log_odds: fl
     """Independent sampled evidences `(RUNS,)` on particles of an adapted proposal."""
     covariance = torch.tensor([[deviation**2, 0.06 * deviation], [0.06 * deviation, 0.01]], dtype=F64)
     moments = torch.tensor([[mean, 0.2]], dtype=F64).expand(RUNS, -1, -1), covariance.expand(RUNS, 1, -1, -1)
-    predicted = Objects(  # the proposal reads their moments, not this one particle
-        moments[0].unsqueeze(-2),
-        torch.zeros(RUNS, 1, 1, dtype=F64),
+    predicted = Objects(  # the proposal reads their moments, not these particles
+        moments[0].unsqueeze(-2).expand(-1, -1, PARTICLES, -1),
+        torch.full((RUNS, 1, PARTICLES), -math.log(PARTICLES), dtype=F64),
         POWER.expand(RUNS, 1, 2, -1),
         LOG_POWER.expand(RUNS, 1, 2, -1),
         torch.full((RUNS, 1), log_odds, dtype=F64),

@@ -43,6 +43,8 @@ def test_what_the_schema_refuses(launch, override, words):
     [
         ("runs", "0", "a positive integer"),
         ("threads", "0", "a positive integer or null"),
+        ("workers", "0", "a positive integer or null"),
+        ("memory_gb", "0.0", "a positive number or null"),
         ("dtype", "float16", "float32 or float64"),
         ("data.kind", "wav", "simulated or npz"),
         ("logging.surface_step", "-1", "a step from 0 up"),

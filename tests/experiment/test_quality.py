@@ -10,7 +10,7 @@ from oracles.histories import line_history
 from oracles.scripts import SMALL, call, load
 
 from torchdt.errors import InputError
-from torchdt.experiment.quality import QualitySettings, confidence, consecutive, score
+from torchdt.experiment.quality import QualitySettings, compose_track, confidence, consecutive, score
 from torchdt.history import TrackHistory
 from torchdt.report.quality import Quality
 from torchdt.scenario.recording import validate
@@ -188,3 +188,10 @@ def test_one_run_has_no_confidence_interval():
 def test_bad_settings(changes, key):
     with pytest.raises(InputError, match=f"key '{key}'"):
         QualitySettings(**({"suite": ["a"]} | changes))
+
+
+def test_variants_have_no_row_in_a_suite():
+    with initialize_config_module("torchdt.conf", version_base="1.3"):
+        assert compose_track(["scenario=line_array", "seed=4"]).seed == 4
+        with pytest.raises(InputError, match=r"key 'variants': found \[{}\], expected null in a suite"):
+            compose_track(["scenario=line_array", "variants=[{}]"])

@@ -135,3 +135,56 @@ def test_own_field_target(recording, track):
     np.testing.assert_allclose(
         table(track(recording, target, *own)), table(track(recording)), rtol=1e-3, atol=1e-3
     )
+
+
+@pytest.fixture
+def files(recording, tmp_path):
+    """One sequence a file, changed as wanted; the second has one object more."""
+
+    def files(**changes):
+        paths = [tmp_path / name for name in ("first.npz", "second.npz")]
+        more = torch.cat([recording.truth[1:], torch.full_like(recording.truth[1:, :, :1], 3.0)], 2)
+        second = dataclasses.replace(recording.select(slice(1, 2)), truth=more)
+        write_npz(paths[0], recording.select(slice(0, 1)))
+        write_npz(paths[1], dataclasses.replace(second, **changes))
+        return paths
+
+    return files
+
+
+def test_several_files_are_one_batch(launch, track, recording, files):
+    outcome = launch("data=npz", "data.path=[{},{}]".format(*files()))
+    assert outcome.status == 0, outcome.err
+    np.testing.assert_allclose(table(outcome), table(track(recording)), rtol=1e-4, atol=1e-4)
+    assert outcome.json("metrics.json")["num_runs"] == 2
+    counts = [[int(row["num_truth"]) for row in outcome.rows("gospa.csv") if row["run"] == r] for r in "01"]
+    assert [b - a for a, b in zip(*counts, strict=True)] == [1] * 5
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda r: {"snapshots": r.snapshots[1:, :4], "truth": None}, ("'steps': found 4, expected 5",)),
+        (lambda r: {"truth": None}, ("'truth': found nothing, expected positions of 1 coordinates",)),
+        (lambda r: {"truth": r.truth[1:].expand(-1, -1, -1, 2)}, ("'truth': found positions of 2",)),
+        (lambda r: {"snapshots": r.snapshots[1:, :, :1]}, ("'snapshots': found", "(1, 3, 8)", "(2, 3, 8)")),
+        (lambda r: {"snapshots": r.snapshots[1:, ..., :7]}, ("'snapshots': found", "(2, 3, 7)")),
+        (lambda r: {"step_s": 2.0}, ("'step_s': found 1.0 and 2.0",)),
+        (lambda r: {"freqs": torch.tensor([1.0, 2.0])}, ("'freqs': found None and [1.0, 2.0]",)),
+    ],
+)
+def test_the_file_that_does_not_fit_is_named(launch, recording, files, change, words):
+    first, second = files(**change(recording))
+    outcome = launch("data=npz", f"data.path=[{first},{second}]")
+    assert outcome.status == 1
+    for word in (f"path '{second}': key ", f"to fit '{first}'", *words):
+        assert word in outcome.err
+    assert not (outcome.directory / "metrics.json").exists()
+
+
+@pytest.mark.parametrize("path", ["[]", "[a.npz,null]", "7"])
+def test_what_is_no_path_is_named(launch, path):
+    outcome = launch("data=npz", f"data.path={path}")
+    assert outcome.status == 1
+    assert "key 'data.path': found" in outcome.err
+    assert "expected the path of a file or a list of paths" in outcome.err

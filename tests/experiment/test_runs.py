@@ -24,6 +24,16 @@ def test_batch_equals_single_runs(launch):
         np.testing.assert_allclose(table(together, run)[:, 1:], table(alone)[:, 1:], rtol=1e-3, atol=1e-3)
 
 
+def test_chunks_give_the_tracks_of_the_batch(launch):
+    whole = launch("runs=3", "workers=1")
+    chunked = launch("runs=3", "workers=2", "memory_gb=1e-6", "logging=default", terminal=True)
+    assert chunked.status == 0, chunked.err
+    assert "15/15" in chunked.err  # steps of all runs
+    assert f"GOSPA {chunked.values[0]:.2f}" in chunked.err
+    np.testing.assert_allclose(table(chunked), table(whole), rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(chunked.scores, whole.scores, atol=1e-3)
+
+
 def test_noise_alone_declares_nothing(launch):
     silent = launch("scenario.num_steps=30", "~scenario.sources.first", "~scenario.sources.second")
     assert silent.status == 0, silent.err

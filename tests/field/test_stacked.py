@@ -10,7 +10,7 @@ from torchdt.detect.dictionary import bartlett_surface, build_dictionary, likeli
 from torchdt.field import Field, NormalModeField
 from torchdt.field.mismatch import DiffuseField, MismatchedField
 from torchdt.field.plane_wave import LineArrayField
-from torchdt.field.stacked import StackedDiffuseField, StackedField
+from torchdt.field.stacked import StackedDiffuseField, StackedField, repeat_field, select_field
 from torchdt.model.measurement import Measurement, from_snapshots
 
 F64 = torch.float64
@@ -77,3 +77,25 @@ def test_surfaces_of_a_batch_equal_those_of_single_sequences():
 def test_wrong_number_of_sequences_is_refused(fields):
     with pytest.raises(ValueError, match="zip"):
         StackedField(fields)(states(2, 4))
+
+
+@pytest.mark.parametrize("kind", [StackedField, StackedDiffuseField])
+def test_some_sequences_have_their_fields(fields, kind):
+    single = [MismatchedField(f, torch.full((2,), 0.1, dtype=F64)) for f in fields]
+    stacked, state = kind(single), states(3, 4)
+    part = select_field(stacked, slice(1, 3))
+    assert type(part) is kind
+    assert part.fields == tuple(single[1:])
+    torch.testing.assert_close(part(state[1:]), stacked(state)[1:], rtol=0.0, atol=0.0)
+    assert stacked.select(slice(0, 3)) is stacked
+
+
+def test_a_repeated_batch_has_its_fields_in_order(fields):
+    found = repeat_field(StackedField(fields[:2]), 2)
+    assert isinstance(found, StackedField)
+    assert found.fields == (fields[0], fields[1], fields[0], fields[1])
+
+
+def test_a_field_of_all_sequences_stays(fields):
+    assert select_field(fields[0], slice(1, 3)) is fields[0]
+    assert repeat_field(fields[0], 3) is fields[0]

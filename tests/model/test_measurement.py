@@ -15,6 +15,7 @@ from torchdt.model.measurement import (
     from_covariance,
     from_snapshots,
     gaussian_log_likelihood,
+    low_rank_log_likelihood,
     mask_covariance,
 )
 
@@ -90,6 +91,18 @@ def check_sensor_dropped(measurement, snapshots, covariance, kept):
     expected = direct_log_likelihood(snapshots[..., kept], smaller)
     torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-12)
     assert measurement.present.sum(-1).unique().tolist() == [len(kept)]
+
+
+@pytest.mark.parametrize("num_columns", [1, 3, SENSORS + 2])
+def test_few_columns_say_the_same_as_their_covariance(rng, snapshots, num_columns):
+    columns = 10 * complex_normal(rng, TONES, SENSORS, num_columns)
+    noise = torch.linspace(0.1, 2.0, TONES, dtype=torch.float64)
+    broken = snapshots.clone()
+    broken[0, 1:, :, 3], broken[-1, 0] = torch.nan, torch.nan
+    measurement = from_snapshots(broken)
+    covariance = mask_covariance(columns @ columns.mH, noise, measurement.present)
+    found = low_rank_log_likelihood(measurement, columns, noise)
+    torch.testing.assert_close(found, gaussian_log_likelihood(measurement, covariance), rtol=1e-10, atol=0)
 
 
 @pytest.mark.parametrize("steps", [[0, 1, 2], [1]])

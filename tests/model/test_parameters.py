@@ -6,7 +6,7 @@ from oracles.line_array import make_region
 from torchdt.config import TrackerConfig
 from torchdt.errors import InputError
 from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings
-from torchdt.model.parameters import Parameters, default_parameters, widen, with_values
+from torchdt.model.parameters import Parameters, default_parameters, stack_parameters, widen, with_values
 from torchdt.model.region import Coordinate, Region
 
 F64 = torch.float64
@@ -83,3 +83,25 @@ def test_parameters_without_a_value_stay():
     new = with_values(old, {"survival": per_sequence})
     torch.testing.assert_close(new.survival, per_sequence.double())
     assert new._replace(survival=old.survival) == old
+
+
+def test_some_sequences_have_their_numbers():
+    shared = parameters(F64)
+    assert shared.select(slice(1, 2)) == shared
+    own = shared._replace(
+        survival=torch.tensor([0.5, 0.6, 0.7]), driving_variance=torch.tensor([[1.0, 2], [3, 4], [5, 6]])
+    )
+    part = own.select(slice(1, 3))
+    assert part.survival.tolist() == own.survival[1:].tolist()
+    assert part.driving_variance.tolist() == [[3, 4], [5, 6]]
+    assert part._replace(survival=shared.survival, driving_variance=shared.driving_variance) == shared
+
+
+def test_settings_are_stacked_one_after_another():
+    one = parameters(F64)
+    other = one._replace(survival=torch.tensor(0.3, dtype=F64), driving_variance=2 * one.driving_variance)
+    both = stack_parameters([one, other], 3)
+    for b in range(6):
+        alone = both.select(slice(b, b + 1))
+        for found, expected in zip(alone, one if b < 3 else other, strict=True):
+            assert torch.equal(found, expected[None])

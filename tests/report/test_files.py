@@ -7,6 +7,7 @@ from importlib.metadata import version
 import pytest
 import torch
 
+from torchdt.config import TrackerConfig
 from torchdt.report import files
 
 
@@ -89,6 +90,25 @@ def test_metrics_json_holds_no_nan(tmp_path, history):
     assert content["tracker"] == "mp_bp"
     assert content["gospa"] is None
     assert content["log_likelihood"] is None
+
+
+@pytest.mark.parametrize("scored", [True, False])
+def test_variants_csv(tmp_path, history, score, scored):
+    """Two variants of one run each: what is written is the mean over its six steps."""
+    path = tmp_path / "variants.csv"
+    variants = [TrackerConfig(), TrackerConfig(survival=0.5, driving_variance=[1e-3, 2.0])]
+    files.write_variants_csv(path, variants, history, score if scored else None)
+    assert path.read_text().splitlines()[0] == (
+        "variant,power_shape,noise_shape,survival,birth_mean,driving_variance,likelihood_power,"
+        "gospa,localisation,missed,false,log_likelihood"
+    )
+    first, second = rows(path)
+    assert (first["survival"], first["driving_variance"]) == ("0.95", "")
+    assert (second["survival"], second["driving_variance"]) == ("0.5", "[0.001, 2.0]")
+    for b, row in enumerate((first, second)):
+        assert float(row["log_likelihood"]) == history.log_evidence[b].sum()
+        for column, name in (("gospa", "total"), ("missed", "missed"), ("false", "false")):
+            assert row[column] == (f"{getattr(score, name)[b].mean().item():.9g}" if scored else "")
 
 
 def test_manifest(tmp_path):

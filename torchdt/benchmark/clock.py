@@ -2,12 +2,15 @@
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from statistics import median
 from typing import Any
 
 import numpy as np
 import torch
+
+SIZE = 1024
+"""Rows of the matrices whose product is the measure of a machine."""
 
 
 def clock(call: Callable[[], Any], device: str | torch.device = "cpu") -> tuple[float, Any]:
@@ -22,15 +25,33 @@ def clock(call: Callable[[], Any], device: str | torch.device = "cpu") -> tuple[
     return time.perf_counter() - start, result
 
 
+def clock_in_turn(
+    calls: Mapping[str, Callable[[], Any]], repeats: int, device: str | torch.device = "cpu"
+) -> dict[str, list[float]]:
+    """Seconds of several calls, one after another, over and over, so that other load hits all of them.
+
+    Args:
+        calls: by name; each is made once before the clock runs.
+        repeats: rounds that count.
+        device: on which the calls leave work.
+
+    Returns:
+        Of every call its `repeats` times, by round.
+    """
+    for call in calls.values():
+        call()
+    rounds = [{name: clock(call, device)[0] for name, call in calls.items()} for _ in range(repeats)]
+    return {name: [taken[name] for taken in rounds] for name in calls}
+
+
+def product_gflops(square: Any, device: str | torch.device = "cpu") -> float:
+    """Real floating-point operations per second, in 1e9, of a real `(n, n)` matrix times itself."""
+    seconds = clock_in_turn({"product": lambda: square @ square}, 5, device)["product"]
+    return 2e-9 * len(square) ** 3 / median(seconds)
+
+
 def describe_machine(device: str) -> dict[str, object]:
     """What speeds depend on; rates are those of a product of two real matrices in single precision."""
-    size = 1024
-    square = torch.ones(size, size, device=device)
-    array = np.ones((size, size), dtype=np.float32)
-    rates = {}
-    for name, product in (("torch", lambda: square @ square), ("numpy", lambda: array @ array)):
-        product()
-        rates[name] = 2e-9 * size**3 / median(clock(product, device)[0] for _ in range(5))
     return {
         "cores": len(os.sched_getaffinity(0)),
         "load": os.getloadavg()[0],
@@ -39,6 +60,6 @@ def describe_machine(device: str) -> dict[str, object]:
         "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "unset"),
         "torch": torch.__version__,
         "numpy": np.__version__,
-        "torch_sgemm_gflops": rates["torch"],
-        "numpy_sgemm_gflops": rates["numpy"],
+        "torch_sgemm_gflops": product_gflops(torch.ones(SIZE, SIZE, device=device), device),
+        "numpy_sgemm_gflops": product_gflops(np.ones((SIZE, SIZE), dtype=np.float32)),
     }

@@ -1,6 +1,5 @@
 """Time and memory of sparse Bayesian learning, beside plain formulations of the same mathematics."""
 
-import importlib.util
 import math
 import subprocess
 import sys
@@ -15,16 +14,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-import torchdt
 from torchdt.benchmark.clock import clock
+from torchdt.benchmark.oracle import ORACLES, load_oracle
 from torchdt.detect.peaks import find_peaks
 from torchdt.detect.sbl import SparseBayesianLearning
 from torchdt.detect.spectrum import sparse_spectrum
 from torchdt.model.measurement import Measurement
 from torchdt.report.benchmark import HIGH, Measured, Plain, plain_rows
 
-ORACLE = Path(torchdt.__file__).parents[1] / "tests" / "oracles" / "sparse_bayesian.py"
-"""The plain formulations; part of a checkout, not of an installed copy."""
+ORACLE = ORACLES / "sparse_bayesian.py"
+"""The plain formulations."""
 
 PEAKS = 256
 """More peaks than are compared."""
@@ -56,7 +55,7 @@ def measure_sbl(
         steps: of data, each without a batch.
         repeats: of every step, and iterations with outer products; medians count.
     """
-    oracle, device = load_oracle(), steps[0].factor.device
+    oracle, device = load_oracle(ORACLE), steps[0].factor.device
     detector(steps[0])
     seconds, plain = [], []
     for step in steps:
@@ -74,18 +73,6 @@ def measure_sbl(
         iteration = clock_outer_products(oracle, detector, steps[0], repeats)
         rows += plain_rows(seconds, plain, iteration, repeats)
     return rows + measure_memory(detector, steps[0])
-
-
-def load_oracle() -> ModuleType | None:
-    """The plain formulations; None where this is no checkout."""
-    if not ORACLE.exists():
-        return None
-    spec = importlib.util.spec_from_file_location(ORACLE.stem, ORACLE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def plain_problem(detector: SparseBayesianLearning, step: Measurement) -> tuple[NDArray, NDArray]:

@@ -15,7 +15,12 @@ from torchdt.bp.configurations import Configurations, log_probability
 from torchdt.bp.moments import signal_covariance
 from torchdt.bp.schedule import Beliefs, as_belief
 from torchdt.linalg import check_finite
-from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask_covariance
+from torchdt.model.measurement import (
+    Measurement,
+    gaussian_log_likelihood,
+    low_rank_log_likelihood,
+    mask_covariance,
+)
 from torchdt.state import Noise, Objects
 
 
@@ -56,19 +61,23 @@ def sampled_evidence(
     particle = state[..., None, :, None].expand(*power.shape, response.shape[-1])
     columns = response.gather(-2, particle).to(torch.complex128) * amplitude[..., None]
     columns = columns.movedim(-4, -1)  # (*batch, I, S, M, N)
-    signal = columns @ columns.mH
-    if diffuse is not None:
-        weights = (exists.unsqueeze(-2) * power).movedim(-3, -1).to(signal.dtype)  # (*batch, I, S, N)
-        flat = diffuse.movedim(-4, -3).flatten(-2).to(signal.dtype)  # (*batch, I, N, M M)
-        signal = signal + (weights @ flat).unflatten(-1, signal.shape[-2:])
     per_sample = Measurement(
-        measurement.factor.unsqueeze(-3).to(signal.dtype),
+        measurement.factor.unsqueeze(-3).to(columns.dtype),
         measurement.num_snapshots.unsqueeze(-1),
         measurement.present.unsqueeze(-2),
     )
-    covariance = mask_covariance(signal, noise.variance.gather(-1, level), per_sample.present)
+    variance = noise.variance.gather(-1, level)
+    if diffuse is None:
+        log_likelihood = low_rank_log_likelihood(per_sample, columns, variance)
+    else:
+        weights = (exists.unsqueeze(-2) * power).movedim(-3, -1).to(columns.dtype)  # (*batch, I, S, N)
+        flat = diffuse.movedim(-4, -3).flatten(-2).to(columns.dtype)  # (*batch, I, N, M M)
+        signal = columns @ columns.mH
+        signal = signal + (weights @ flat).unflatten(-1, signal.shape[-2:])
+        covariance = mask_covariance(signal, variance, per_sample.present)
+        log_likelihood = gaussian_log_likelihood(per_sample, covariance)
     log_weight = (
-        gaussian_log_likelihood(per_sample, covariance).sum(-2)
+        log_likelihood.sum(-2)
         + log_probability(as_belief(prior), exists, state, power_index)
         + noise.log_weight.gather(-1, level).sum(-2)
         - log_proposal

@@ -55,20 +55,33 @@ def object_belief(whitener: Whitener, response: Tensor, power: Tensor, prior: Ob
     Raises:
         NumericalError: where a message is NaN or infinite.
     """
-    message, log_ratio = _tone_messages(whitener, response, power, prior.log_power_weight)
+    message, likelihood, total = _tone_messages(whitener, response, power, prior.log_power_weight)
     posterior = prior.log_weight + check_finite(message, "message to the object state").sum(-2)
     log_weight, log_evidence = normalise(posterior)
-    # sum_p w_p exp(ell_pg - message_p): what the other tones say of x, times this tone's likelihood.
-    shifted = log_weight[..., None, :, None] + log_ratio - message[..., None]
-    log_power_weight, _ = normalise(prior.log_power_weight + torch.logsumexp(shifted, -2))
+    # What the other tones say of x times this tone's likelihood: a mean over the particles of how likely
+    # each makes the powers. A weight that underflows stays one, so that its logarithm has a derivative.
+    weight = log_weight.exp()[..., None, :] / total
+    power_weight = (likelihood * weight[..., None, :]).sum(-1).clamp_min(torch.finfo(weight.dtype).tiny)
+    log_power_weight, _ = normalise(power_weight.log())
     return ObjectBelief(log_weight, log_power_weight, prior.log_odds + log_evidence)
 
 
 def _tone_messages(
     whitener: Whitener, response: Tensor, power: Tensor, log_power_weight: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Messages `(*batch, I, P)` and the log-likelihood ratios `(*batch, I, P, G)` behind them."""
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Messages `(*batch, I, P)`, and what they are logarithms of but for a factor for each particle.
+
+    Returns:
+        The messages; weight times likelihood ratio of every power, over their largest, `(*batch, I, G, P)`;
+        its sum over the powers, `(*batch, I, P)`.
+    """
     s, q = statistics(whitener, response)
     J = whitener.num_snapshots[..., None, None]
-    log_ratio = log_likelihood_ratio(J, power[..., None, :], s[..., None], q[..., None])
-    return torch.logsumexp(log_power_weight[..., None, :] + log_ratio, -1), log_ratio
+    # Powers before particles: what runs over the few powers is then a sum of long rows.
+    joint = log_likelihood_ratio(
+        J, power[..., None], s[..., None, :], q[..., None, :], log_power_weight[..., None]
+    )
+    top = joint.detach().amax(-2, keepdim=True)
+    likelihood = (joint - top).exp_()
+    total = likelihood.sum(-2)
+    return total.log() + top.squeeze(-2), likelihood, total

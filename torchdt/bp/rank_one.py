@@ -62,23 +62,42 @@ def statistics(whitener: Whitener, response: Tensor) -> tuple[Tensor, Tensor]:
     Returns:
         s and q, `(*batch, I, P)` real, s >= 0, q >= 0.
     """
-    # a^H [L^-H, Sigma^-1 B]; the conjugate moves to the small factor, |.|^2 does not see it.
-    parts = torch.view_as_real(response @ whitener.projection.conj().resolve_conj()).flatten(-2)
-    s, q = parts.tensor_split([2 * response.shape[-1]], dim=-1)
-    # A norm is one pass over the largest tensor of all; squares and their sum are three.
-    return torch.linalg.vector_norm(s, dim=-1).square(), torch.linalg.vector_norm(q, dim=-1).square()
+    squares = squared_products(whitener.projection, response)
+    s, q = squares.tensor_split([2 * response.shape[-1]], dim=-2)
+    return s.sum(-2), q.sum(-2)
 
 
-def log_likelihood_ratio(J: Tensor, power: Tensor, s: Tensor, q: Tensor) -> Tensor:
-    """`ell(x, gamma)`, all arguments broadcast against each other.
+def squared_products(columns: Tensor, response: Tensor) -> Tensor:
+    """Squared real and imaginary parts of `w^H a`, in turn, for every column w and response a.
+
+    Args:
+        columns: `(*batch, I, M, W)` complex.
+        response: `(*batch, I, P, M)` complex.
+
+    Returns:
+        `(*batch, I, 2 W, P)` real: particles come last, so that sums over columns are those of long rows.
+    """
+    # In real numbers: the rows are the parts of conj(w) and i conj(w), which multiply those of a.
+    conjugate = columns.conj()
+    weights = torch.view_as_real(torch.stack([conjugate, 1j * conjugate], dim=-2)).flatten(-2).flatten(-3, -2)
+    return (weights.mT @ torch.view_as_real(response).flatten(-2).mT).square()
+
+
+def log_likelihood_ratio(
+    J: Tensor, power: Tensor, s: Tensor, q: Tensor, log_weight: Tensor | float = 0.0
+) -> Tensor:
+    """`ell(x, gamma)` plus a log-weight, in the broadcast shape of powers and quadratic forms.
 
     Args:
         J: number of snapshots.
         power: gamma >= 0.
         s, q: quadratic forms from `statistics`.
+        log_weight: of the power, say.
     """
+    # In place where possible: these are the largest tensors of all, and fresh memory costs more than sums.
     gain = power * s
-    return power * q / (1 + gain) - J * torch.log1p(gain)
+    fit = (power * q).div_(gain + 1)
+    return gain.log1p().mul_(-J).add_(log_weight).add_(fit)
 
 
 def peak_log_likelihood_ratio(J: Tensor, s: Tensor, q: Tensor) -> tuple[Tensor, Tensor]:

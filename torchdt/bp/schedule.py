@@ -60,16 +60,27 @@ def strongest_first(strength: Tensor) -> Tensor:
 
 def take(tensor: Tensor, index: Tensor) -> Tensor:
     """Entry `index` of dimension `index.ndim`, per batch element: `(*batch, N, ...)` to `(*batch, ...)`."""
-    at = index.reshape(*index.shape, *(1 for _ in range(tensor.ndim - index.ndim)))
-    at = at.expand(*index.shape, 1, *tensor.shape[index.ndim + 1 :])
-    return tensor.gather(index.ndim, at).squeeze(index.ndim)
+    rows = tensor.flatten(0, index.ndim)
+    if index.numel() == 1 and index.device.type == "cpu":
+        row = rows[int(index)]  # without a copy
+    else:
+        row = rows.index_select(0, _row(tensor, index))
+    return row.reshape((*index.shape, *tensor.shape[index.ndim + 1 :]))
 
 
 def put(tensor: Tensor, index: Tensor, value: Tensor) -> Tensor:
     """The inverse of `take`, out of place."""
-    slots = torch.arange(tensor.shape[index.ndim], device=tensor.device) == index[..., None]
-    slots = slots.reshape(*slots.shape, *(1 for _ in range(tensor.ndim - slots.ndim)))
-    return torch.where(slots, value.unsqueeze(index.ndim), tensor)
+    shape = tensor.shape[index.ndim + 1 :]
+    rows = value.expand((*index.shape, *shape)).reshape((index.numel(), *shape))
+    return tensor.flatten(0, index.ndim).index_copy(0, _row(tensor, index), rows).reshape(tensor.shape)
+
+
+def _row(tensor: Tensor, index: Tensor) -> Tensor:
+    """Where the entries are once batch and slots are one dimension: whole rows are copied faster so."""
+    row = index.reshape(-1)
+    if len(row) > 1:
+        row = row + tensor.shape[index.ndim] * torch.arange(len(row), device=row.device)
+    return row
 
 
 Tree = TypeVar("Tree", bound=tuple[Any, ...])

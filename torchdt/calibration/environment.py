@@ -100,9 +100,9 @@ def calibrate(
         What was found; the nominal environment where no source was.
     """
     num_steps = measurement.num_snapshots.shape[0]
-    chosen = torch.linspace(0, num_steps - 1, min(config.steps, num_steps)).round().long()
+    theta, count = torch.zeros_like(family.prior_std), min(config.steps, num_steps)
+    chosen = torch.linspace(0, num_steps - 1, count, dtype=theta.dtype, device=theta.device).round().long()
     part = Measurement(*(t[chosen] for t in measurement))
-    theta = torch.zeros_like(family.prior_std)
     field = family.solve(theta)
     # Positions are found to a fraction of a cell; that is also how far a wrong environment moves them.
     scale = region.cell / 4
@@ -143,9 +143,8 @@ def _detect(
     signal = torch.zeros_like(measurement.factor[..., :1] * measurement.factor[..., :1].mH)
     noise = Noise(*uniform_prior(priors.noise_max.expand(size, -1), 64))
     free = torch.full((size,), config.sources, device=signal.device)
-    draws = torch.randn(
-        size, config.sources, 6, 128, region.num_coordinates, generator=stream, dtype=torch.float64
-    )
+    shape = (size, config.sources, 6, 128, region.num_coordinates)
+    draws = torch.randn(shape, generator=stream, dtype=torch.float64, device=stream.device)
     dictionary = build_dictionary(field, region)
     with torch.no_grad():
         return search(

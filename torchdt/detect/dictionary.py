@@ -18,18 +18,22 @@ class Dictionary(NamedTuple):
     Attributes:
         points: `(C, d)` positions.
         response: `(I, C, M)` complex, or `(B, I, C, M)` with a field per sequence.
+        energy: `|a|^2`, `(I, C)` or `(B, I, C)`.
     """
 
     points: Tensor
     response: Tensor
+    energy: Tensor
 
 
 def build_dictionary(field: Field, region: Region) -> Dictionary:
     """Evaluate a field on the region's grid of birth cells."""
     points = region.cell_centres()
     if isinstance(field, StackedField):
-        return Dictionary(points, torch.stack([_responses(f, points) for f in field.fields]))
-    return Dictionary(points, _responses(field, points))
+        response = torch.stack([_responses(f, points) for f in field.fields])
+    else:
+        response = _responses(field, points)
+    return Dictionary(points, response, torch.linalg.vector_norm(response, dim=-1).square())
 
 
 def _responses(field: Field, points: Tensor) -> Tensor:

@@ -6,71 +6,51 @@ A part of the benchmark is a function in `PARTS` that takes the settings and ret
 import dataclasses
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 from hydra import compose
-from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from torchdt.benchmark.clock import describe_machine
+from torchdt.benchmark.memory import measure_growth, measure_run_memory
+from torchdt.benchmark.peers import measure_peers
 from torchdt.benchmark.points import measure_points
 from torchdt.benchmark.sbl import measure_sbl
+from torchdt.benchmark.scaling import measure_length_scaling, measure_update_scaling
+from torchdt.benchmark.steps import measure_batch, measure_step
+from torchdt.benchmark.update import measure_update
 from torchdt.detect.config import SblConfig
 from torchdt.detect.dictionary import build_dictionary
 from torchdt.detect.sbl import SparseBayesianLearning
 from torchdt.errors import InputError, require
-from torchdt.experiment.build import build_region, build_tracking_field, simulate
+from torchdt.experiment.benchmark_settings import BenchmarkSettings
+from torchdt.experiment.build import (
+    build_recording,
+    build_region,
+    build_tracker,
+    build_tracking_field,
+    simulate,
+)
 from torchdt.experiment.settings import TrackSettings, settings_of
 from torchdt.model.measurement import Measurement
 from torchdt.prepare import prepare
 from torchdt.report.benchmark import Measured, print_benchmark, write_benchmark
+from torchdt.report.benchmark_figures import benchmark_figure
 from torchdt.report.files import manifest, write_json
+from torchdt.scenario.recording import Recording, validate
+from torchdt.tracker import DirectTracker
 from torchdt.two_step import TwoStepConfig
 
 log = logging.getLogger(__name__)
 
 
-@dataclass
-class BenchmarkSettings:
-    """Settings of `experiments/benchmark.py`.
-
-    Attributes:
-        name: of the machine or setting, for the run directory.
-        parts: what is measured, of `PARTS`.
-        repeats: of everything that is timed.
-        overrides: of the configuration of `experiments/track.py` with `tracker=sbl_bp`, for part `sbl`.
-        steps: of these data in which points are detected, evenly spread.
-        particles: of each object in part `points`.
-        device: of all that is torchdt.
-        threads: of PyTorch's linear algebra; None leaves them to PyTorch.
-    """
-
-    name: str = "default"
-    parts: list[str] = dataclasses.field(default_factory=list)
-    repeats: int = 3
-    overrides: list[str] = dataclasses.field(default_factory=list)
-    steps: int = 3
-    particles: int = 10_000
-    device: str = "cpu"
-    threads: int | None = None
-
-    def __post_init__(self) -> None:
-        known = set(self.parts) <= set(PARTS) and len(set(self.parts)) == len(self.parts) > 0
-        require(known, "parts", self.parts, f"some of {list(PARTS)}, each once")
-        for key in ("repeats", "steps", "particles"):
-            require(getattr(self, key) >= 1, key, getattr(self, key), "a positive integer")
-        TrackSettings(device=self.device, threads=self.threads)  # has the same keys, and checks them
-
-
-ConfigStore.instance().store(name="benchmark_schema", node=BenchmarkSettings)
-
-
 def run_benchmark(config: DictConfig) -> list[Measured]:
     """Measure all parts; `benchmark.csv` and `benchmark.json` grow by a part each in Hydra's run directory.
+
+    `benchmark.png` shows parts `step` and `scaling`, where these are measured.
 
     Returns:
         What was measured.
@@ -89,9 +69,72 @@ def run_benchmark(config: DictConfig) -> list[Measured]:
     for part in settings.parts:
         rows += PARTS[part](settings)
         write_benchmark(directory, machine, rows)
+    figure = benchmark_figure(rows)
+    if figure is not None:
+        figure.savefig(directory / "benchmark.png", dpi=150)
     print_benchmark(Console(), machine, rows)
     log.info("results in %s", directory)
     return rows
+
+
+def compose_track(settings: BenchmarkSettings, *overrides: str) -> TrackSettings:
+    """Settings of `experiments/track.py`, in single precision."""
+    return settings_of(compose("track", overrides=[*overrides, f"device={settings.device}", "dtype=float32"]))
+
+
+def build_direct(
+    settings: BenchmarkSettings, runs: int, steps: int, key: str
+) -> tuple[DirectTracker, Recording]:
+    """The direct tracker of parts `step` and `scaling`, and the first steps of its data.
+
+    Raises:
+        InputError: where the settings are those of another tracker, or there are not as many steps.
+    """
+    track_settings = compose_track(settings, *settings.overrides, *settings.direct, f"runs={runs}")
+    recording = build_recording(track_settings)
+    total = recording.num_steps
+    require(steps <= total, key, f"{steps} steps", f"at most the {total} of the scenario")
+    tracker = build_tracker(track_settings, recording)
+    if not isinstance(tracker, DirectTracker):
+        raise InputError.of_key("direct", settings.direct, "those of direct tracking")
+    return tracker, validate(snapshots=recording.data[:, :steps], step_s=recording.step_s)
+
+
+def benchmark_update(settings: BenchmarkSettings) -> list[Measured]:
+    """Part `update`, on random problems."""
+    return measure_update(settings.device, settings.repeats, **dataclasses.asdict(settings.problem))
+
+
+def benchmark_step(settings: BenchmarkSettings) -> list[Measured]:
+    """Part `step`: parts of a step, then whole steps of a batch."""
+    size, length = settings.problem.batch, settings.warm_up + 1
+    tracker, recording = build_direct(settings, size, length, "warm_up")
+    rows = measure_step(tracker, recording, settings.warm_up, settings.repeats)
+    return rows + measure_batch(tracker, recording, settings.repeats)
+
+
+def benchmark_scaling(settings: BenchmarkSettings) -> list[Measured]:
+    """Part `scaling`: random problems, then whole tracking."""
+    base = dataclasses.asdict(settings.problem) | {"batch": 1}
+    sizes = dataclasses.asdict(settings.scaling)
+    lengths = sizes.pop("steps")
+    tracker, recording = build_direct(settings, 1, lengths[-1], "scaling.steps")
+    rows = measure_update_scaling(base, sizes, settings.repeats, settings.device)
+    return rows + measure_length_scaling(tracker, recording, lengths, settings.repeats)
+
+
+def benchmark_memory(settings: BenchmarkSettings) -> list[Measured]:
+    """Part `memory`: a run of `experiments/track.py`, then a small problem for many steps."""
+    online = compose_track(settings, *settings.online)
+    recording = build_recording(online)
+    tracker = build_tracker(online, recording)
+    rows = measure_run_memory([*settings.run, f"device={settings.device}"])
+    return rows + measure_growth(tracker, tracker.prepare(recording), settings.online_steps)
+
+
+def benchmark_peers(settings: BenchmarkSettings) -> list[Measured]:
+    """Part `peers`, whose scenes are always the same."""
+    return measure_peers(settings.peer_particles, settings.repeats, settings.device)
 
 
 def benchmark_sbl(settings: BenchmarkSettings) -> list[Measured]:
@@ -100,11 +143,11 @@ def benchmark_sbl(settings: BenchmarkSettings) -> list[Measured]:
     Raises:
         InputError: where the settings are those of another detector, or there are not as many steps.
     """
-    choices = ["tracker=sbl_bp", *settings.overrides, f"device={settings.device}", "dtype=float32"]
-    track_settings = settings_of(compose("track", overrides=choices))
+    choices = [*settings.overrides, *settings.detector]
+    track_settings = compose_track(settings, "tracker=sbl_bp", *choices)
     config = track_settings.tracker
     if not isinstance(config, TwoStepConfig) or not isinstance(config.detector, SblConfig):
-        raise InputError.of_key("overrides", settings.overrides, "those of a tracker of SBL's points")
+        raise InputError.of_key("detector", choices, "those of a tracker of SBL's points")
     recording = simulate(track_settings)
     total = recording.num_steps
     require(settings.steps <= total, "steps", settings.steps, f"at most the {total} of the scenario")
@@ -123,7 +166,12 @@ def benchmark_points(settings: BenchmarkSettings) -> list[Measured]:
 
 
 PARTS: dict[str, Callable[[BenchmarkSettings], list[Measured]]] = {
+    "update": benchmark_update,
+    "step": benchmark_step,
+    "scaling": benchmark_scaling,
+    "memory": benchmark_memory,
+    "peers": benchmark_peers,
     "sbl": benchmark_sbl,
     "points": benchmark_points,
 }
-"""Parts by name."""
+"""Parts by name: those of `torchdt.experiment.benchmark_settings`."""

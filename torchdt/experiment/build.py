@@ -1,6 +1,7 @@
 """Objects from settings: fields, recordings, trackers."""
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from torchdt.scenario.settings import MismatchSettings
 from torchdt.scenario.simulate import simulate_snapshots
 from torchdt.tracker import DirectTracker
 from torchdt.tracking import generator
+from torchdt.tuning.sequences import stack_recordings
 from torchdt.two_step import TwoStepConfig, TwoStepTracker
 
 log = logging.getLogger(__name__)
@@ -37,7 +39,7 @@ def build_recording(settings: TrackSettings) -> Recording:
         InputError: where a file or the scenario does not make sense.
     """
     if settings.data.kind == "npz":
-        recording = read_npz(Path(settings.data.path or ""))
+        recording = read_recordings(settings.data.paths)
         summary = recording.missing_summary()
         if summary.num_missing:
             log.warning(
@@ -48,6 +50,31 @@ def build_recording(settings: TrackSettings) -> Recording:
             )
         return recording
     return simulate(settings)
+
+
+def read_recordings(paths: Sequence[str]) -> Recording:
+    """Read files as one batch, in their order.
+
+    Raises:
+        InputError: where a file does not make sense, or naming the one that differs from the first in kind or
+            shape of the data, time step, array, or in having truth.
+    """
+    recordings = [read_npz(Path(path)) for path in paths]
+    first = recordings[0]
+    for path, other in zip(paths, recordings, strict=True):
+        try:
+            require(other.num_steps == first.num_steps, "steps", other.num_steps, first.num_steps)
+            found, expected = (_truth_kind(recording) for recording in (other, first))
+            require(found == expected, "truth", found, expected)
+            # What is left to compare does not differ between the sequences of a file.
+            stack_recordings([recording.select(slice(0, 1)) for recording in (first, other)])
+        except InputError as error:
+            raise InputError(f"path '{path}': {error}, to fit '{paths[0]}'") from error
+    return stack_recordings(recordings)[0]
+
+
+def _truth_kind(recording: Recording) -> str:
+    return "nothing" if recording.truth is None else f"positions of {recording.truth.shape[-1]} coordinates"
 
 
 def simulate(settings: TrackSettings) -> Recording:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from hydra import compose
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from matplotlib.figure import Figure
@@ -22,10 +21,12 @@ from torchdt.detect.dictionary import build_dictionary
 from torchdt.errors import require
 from torchdt.experiment.build import build_region, build_tracker, build_tracking_field, simulate
 from torchdt.experiment.figures import ambiguity_surface, axis_of
-from torchdt.experiment.quality import SuiteSettings, confidence, one_line, score
-from torchdt.experiment.settings import TrackSettings, settings_of
+from torchdt.experiment.parallel import set_threads, track_in_chunks
+from torchdt.experiment.quality import SuiteSettings, compose_track, confidence, one_line, score
+from torchdt.experiment.settings import TrackSettings
 from torchdt.experiment.track import score_history
 from torchdt.field.base import Field
+from torchdt.field.stacked import select_field
 from torchdt.history import TrackHistory
 from torchdt.metrics import Gospa
 from torchdt.model.region import Region
@@ -43,7 +44,6 @@ from torchdt.report.files import manifest, write_json
 from torchdt.report.quality import Quality
 from torchdt.scenario.recording import Recording
 from torchdt.scenario.visibility import hidden_steps
-from torchdt.tracking import track
 
 log = logging.getLogger(__name__)
 
@@ -162,13 +162,12 @@ def compose_settings(
 ) -> TrackSettings:
     """Settings of `experiments/track.py` for one tracker in one scenario."""
     choices = [f"scenario={scenario}", f"tracker={tracker}", *overrides, f"seed={seed}", f"runs={runs}"]
-    return settings_of(compose("track", overrides=choices))
+    return compose_track(choices)
 
 
 def set_stage(track_settings: TrackSettings, settings: CompareSettings) -> Stage:
     """Simulate a scenario and fit the field to it: neither depends on the tracker."""
-    if track_settings.threads is not None:
-        torch.set_num_threads(track_settings.threads)
+    set_threads(track_settings)
     recording = simulate(track_settings)
     field = build_tracking_field(track_settings, recording)
     region = build_region(track_settings, track_settings.torch_dtype)
@@ -176,8 +175,10 @@ def set_stage(track_settings: TrackSettings, settings: CompareSettings) -> Stage
     hidden = hidden_steps(track_settings.scenario, recording.truth[0], settings.separation)
     step, surface = min(settings.surface_step, recording.num_steps - 1), None
     if region.num_coordinates <= 2:
-        measurement = prepare(recording, field, region).measurement.at(step)
-        surface = ambiguity_surface(build_dictionary(field, region), region, measurement)
+        first = slice(0, 1)
+        own = select_field(field, first)
+        measurement = prepare(recording.select(first), own, region).measurement.at(step)
+        surface = ambiguity_surface(build_dictionary(own, region), region, measurement)
     return Stage(track_settings, recording, field, region, hidden, step, surface)
 
 
@@ -188,7 +189,8 @@ def assess(scenario: str, stage: Stage, track_settings: TrackSettings, settings:
     tracker = build_tracker(track_settings, recording, stage.field)
     ready = time.perf_counter()
     seeds = range(settings.seed, settings.seed + settings.runs)
-    history = TrackHistory(*(part.cpu() for part in track(recording, tracker, seeds)))
+    tracked = track_in_chunks(track_settings, recording, tracker, seeds)
+    history = TrackHistory(*(part.cpu() for part in tracked))
     end = time.perf_counter()
     quality = dataclasses.replace(
         score(scenario, history, recording, track_settings, settings),

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from torchdt.errors import require
 from torchdt.experiment.build import build_tracker, simulate
+from torchdt.experiment.parallel import set_threads, track_in_chunks
 from torchdt.experiment.settings import TrackSettings, settings_of
 from torchdt.experiment.track import score_history
 from torchdt.history import TrackHistory
@@ -29,7 +30,6 @@ from torchdt.report.files import manifest, write_json
 from torchdt.report.quality import Quality, print_rows, write_rows
 from torchdt.scenario.recording import Recording
 from torchdt.scenario.visibility import hidden_steps
-from torchdt.tracking import track
 
 log = logging.getLogger(__name__)
 
@@ -112,14 +112,13 @@ def assess(scenario: str, settings: QualitySettings) -> Quality:
     recordings, histories, seconds, tracking = [], [], 0.0, 0.0
     for seeds in consecutive(settings.seeds):
         batch = [f"scenario={scenario}", *settings.overrides, f"seed={seeds[0]}", f"runs={len(seeds)}"]
-        track_settings = settings_of(compose("track", overrides=batch))
-        if track_settings.threads is not None:
-            torch.set_num_threads(track_settings.threads)
+        track_settings = compose_track(batch)
+        set_threads(track_settings)
         recordings.append(simulate(track_settings))
         start = time.perf_counter()
         tracker = build_tracker(track_settings, recordings[-1])
         ready = time.perf_counter()
-        histories.append(track(recordings[-1], tracker, seeds))
+        histories.append(track_in_chunks(track_settings, recordings[-1], tracker, seeds))
         end = time.perf_counter()
         seconds, tracking = seconds + end - start, tracking + end - ready
     history = TrackHistory(*(torch.cat(parts).cpu() for parts in zip(*histories, strict=True)))
@@ -134,6 +133,17 @@ def assess(scenario: str, settings: QualitySettings) -> Quality:
         real_time=recording.step_s * num_steps / tracking,
         seconds=seconds,
     )
+
+
+def compose_track(overrides: Sequence[str]) -> TrackSettings:
+    """Settings of `experiments/track.py` for one entry of a suite.
+
+    Raises:
+        InputError: where they do not make sense, or hold variants: a suite has a row for one setting.
+    """
+    settings = settings_of(compose("track", overrides=list(overrides)))
+    require(settings.variants is None, "variants", settings.variants, "null in a suite")
+    return settings
 
 
 def one_line(error: Exception) -> str:

@@ -14,19 +14,34 @@ from torchdt.detect.config import PursuitConfig, SblConfig
 from torchdt.errors import InputError, require
 from torchdt.scenario.settings import ScenarioSettings
 from torchdt.two_step import TwoStepConfig
+from torchdt.variants import variant_configs
+
+MANY = 8
+"""Sequences from which on threads track chunks of a batch, instead of sharing each operation."""
 
 
 @dataclass
 class DataSettings:
-    """Where the snapshots come from: `simulated`, or a file of kind `npz`."""
+    """Where the snapshots come from.
+
+    Attributes:
+        kind: `simulated` or `npz`.
+        path: of the file, or a list of paths; their sequences are tracked as one batch.
+    """
 
     kind: str = "simulated"
-    path: str | None = None
+    path: Any = None
 
     def __post_init__(self) -> None:
         require(self.kind in ("simulated", "npz"), "data.kind", self.kind, "simulated or npz")
-        given = self.kind == "simulated" or bool(self.path)
-        require(given, "data.path", self.path, "the path of a file")
+        given = bool(self.paths) and all(isinstance(path, str) and path for path in self.paths)
+        expected = "the path of a file or a list of paths"
+        require(self.kind == "simulated" or given, "data.path", self.path, expected)
+
+    @property
+    def paths(self) -> list[str]:
+        """The files."""
+        return list(self.path) if isinstance(self.path, list | tuple) else [self.path]
 
 
 @dataclass
@@ -58,8 +73,13 @@ class TrackSettings:
         field: target and arguments of the array response, see `torchdt.field.build`.
         seed: of the first run; run b has `seed + b`.
         runs: sequences simulated and tracked in one batch; a recording brings its own number.
+        variants: settings of the model for direct tracking, each a mapping of names in `Parameters`, and all
+            of them used on every sequence with the same seeds. Runs count variant by variant.
         device, dtype: of the tracker.
         threads: of the linear algebra; None leaves them to PyTorch.
+        workers: parts of the batch tracked at the same time, which share the threads; None makes one of each
+            thread for batches of `MANY` sequences and more on a CPU.
+        memory_gb: what tracking may take, 1e9 bytes; None allows half of what is free.
     """
 
     scenario: ScenarioSettings = dataclasses.field(default_factory=ScenarioSettings)
@@ -70,21 +90,36 @@ class TrackSettings:
     logging: LoggingSettings = dataclasses.field(default_factory=LoggingSettings)
     seed: int = 0
     runs: int = 1
+    variants: list[Any] | None = None
     device: str = "cpu"
     dtype: str = "float32"
     threads: int | None = None
+    workers: int | None = None
+    memory_gb: float | None = None
 
     def __post_init__(self) -> None:
         require(self.runs >= 1, "runs", self.runs, "a positive integer")
         require(self.dtype in ("float32", "float64"), "dtype", self.dtype, "float32 or float64")
         require(_usable(self.device), "device", self.device, "a device that PyTorch can use here")
-        enough = self.threads is None or self.threads >= 1
-        require(enough, "threads", self.threads, "a positive integer or null")
+        for name in ("threads", "workers"):
+            value = getattr(self, name)
+            require(value is None or value >= 1, name, value, "a positive integer or null")
+        enough = self.memory_gb is None or self.memory_gb > 0
+        require(enough, "memory_gb", self.memory_gb, "a positive number or null")
+        self.variant_configs()
 
     @property
     def torch_dtype(self) -> torch.dtype:
         """Real type of the tracker."""
         return torch.float32 if self.dtype == "float32" else torch.float64
+
+    def variant_configs(self) -> list[TrackerConfig]:
+        """Settings of the tracker for each of the variants; none where there are no variants.
+
+        Raises:
+            InputError: where a variant does not make sense, or the tracker is not the direct one.
+        """
+        return [] if self.variants is None else variant_configs(self.direct, self.variants)
 
     @property
     def direct(self) -> TrackerConfig:

@@ -4,12 +4,12 @@ import contextlib
 import dataclasses
 import logging
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
@@ -18,15 +18,24 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from torchdt.experiment.build import build_recording, build_tracker
 from torchdt.experiment.figures import draw_figures
+from torchdt.experiment.parallel import set_threads, track_in_chunks
 from torchdt.experiment.settings import TrackSettings, settings_of
 from torchdt.history import TrackHistory
 from torchdt.metrics.gospa import Gospa, gospa
 from torchdt.protocol import Tracker
-from torchdt.report.files import manifest, metrics_summary, write_gospa_csv, write_json, write_tracks_csv
+from torchdt.report.files import (
+    manifest,
+    metrics_summary,
+    write_gospa_csv,
+    write_json,
+    write_tracks_csv,
+    write_variants_csv,
+)
 from torchdt.report.tables import print_summary
 from torchdt.report.tensorboard import TensorBoardReport
 from torchdt.scenario.recording import Recording
-from torchdt.tracking import track
+from torchdt.tracker import DirectTracker
+from torchdt.variants import with_variants
 
 log = logging.getLogger(__name__)
 
@@ -35,7 +44,7 @@ def run_track(config: DictConfig) -> float | None:
     """Run one job in Hydra's run directory.
 
     Returns:
-        Mean GOSPA over runs and steps, for sweeps to minimise; None without truth.
+        Mean GOSPA over runs, those of all variants, and steps, for sweeps to minimise; None without truth.
 
     Raises:
         InputError: where configuration or data do not make sense.
@@ -43,17 +52,20 @@ def run_track(config: DictConfig) -> float | None:
     settings = settings_of(config)
     directory = Path(HydraConfig.get().runtime.output_dir)
     write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), settings.seed))
-    if settings.threads is not None:
-        torch.set_num_threads(settings.threads)
+    set_threads(settings)
     name = HydraConfig.get().runtime.choices["tracker"]
     recording = build_recording(settings)
     tracker = build_tracker(settings, recording)
+    seeds = list(range(settings.seed, settings.seed + recording.batch_size))
+    if variants := settings.variant_configs():
+        assert isinstance(tracker, DirectTracker)
+        tracker = with_variants(tracker, variants, recording.batch_size)
+        recording, seeds = recording.repeat(len(variants)), seeds * len(variants)
     alone = HydraConfig.get().mode is not RunMode.MULTIRUN
     visible = settings.logging.progress and alone and sys.stderr.isatty()
-    seeds = range(settings.seed, settings.seed + recording.batch_size)
     start = time.perf_counter()
     with progress_bar(recording, settings, visible) as on_step:
-        history = track(recording, tracker, seeds, on_step)
+        history = track_in_chunks(settings, recording, tracker, seeds, on_step)
     seconds = time.perf_counter() - start
     score = score_history(history, recording, settings)
     write_results(directory, name, settings, recording, tracker, history, score, seconds)
@@ -81,37 +93,43 @@ def score_history(history: TrackHistory, recording: Recording, settings: TrackSe
 @contextlib.contextmanager
 def progress_bar(
     recording: Recording, settings: TrackSettings, visible: bool
-) -> Iterator[Callable[[int, TrackHistory], None]]:
-    """A bar with step, declared objects and mean GOSPA so far; hands out the function that moves it."""
+) -> Iterator[Callable[[int, TrackHistory, slice], None]]:
+    """A bar with the steps of all sequences, declared objects and mean GOSPA of all that has come in.
+
+    Hands out the function that moves it, which any thread may call.
+    """
     columns = (
-        TextColumn("step"),
+        TextColumn("steps"),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("declared {task.fields[declared]}"),
         TextColumn("GOSPA {task.fields[score]}"),
         TimeRemainingColumn(),
     )
-    scores: list[float] = []
+    lock, scores = threading.Lock(), list[float]()
     with Progress(*columns, console=Console(stderr=True), disable=not visible) as progress:
-        task = progress.add_task("", total=recording.num_steps, declared="-", score="-")
+        total = recording.batch_size * recording.num_steps
+        task = progress.add_task("", total=total, declared="-", score="-")
 
-        def on_step(step: int, estimate: TrackHistory) -> None:
+        def on_step(step: int, estimate: TrackHistory, sequences: slice) -> None:
             if not visible:
                 return
-            score = "-"
+            declared, number = estimate.declared.sum(-1).double().mean(), len(estimate.declared)
+            found = []
             if recording.truth is not None and recording.truth_mask is not None:
                 now = gospa(
                     estimate.position.double().cpu(),
                     estimate.declared.cpu(),
-                    recording.truth[:, step],
-                    recording.truth_mask[:, step],
+                    recording.truth[sequences, step],
+                    recording.truth_mask[sequences, step],
                     settings.scenario.gospa_cutoff,
                     settings.scenario.gospa_order,
                 )
-                scores.append(float(now.total.mean()))
-                score = f"{sum(scores) / len(scores):.2f}"
-            declared = estimate.declared.sum(-1).double().mean()
-            progress.update(task, advance=1, declared=f"{declared:.3g}", score=score)
+                found = now.total.tolist()
+            with lock:
+                scores.extend(found)
+                score = f"{sum(scores) / len(scores):.2f}" if scores else "-"
+                progress.update(task, advance=number, declared=f"{declared:.3g}", score=score)
 
         yield on_step
 
@@ -132,8 +150,12 @@ def write_results(
     write_tracks_csv(directory / "tracks.csv", history, recording.step_s, tracker.region.column_names)
     if score is not None:
         write_gospa_csv(directory / "gospa.csv", score)
-    figures = draw_figures(settings, recording, tracker, history, score) if settings.logging.figures else {}
-    if figures:
+    if variants := settings.variant_configs():
+        write_variants_csv(directory / "variants.csv", variants, history, score)
+    figures = {}
+    if settings.logging.figures:
+        first = slice(0, 1)
+        figures = draw_figures(settings, recording.select(first), tracker.select(first), history, score)
         (directory / "figures").mkdir(exist_ok=True)
     for name, figure in figures.items():
         figure.savefig(directory / "figures" / f"{name}.png", dpi=150)

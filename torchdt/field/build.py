@@ -138,7 +138,7 @@ def line_array(
     Raises:
         InputError: where the array does not make sense.
     """
-    along = torch.as_tensor(sensor_positions, dtype=torch.float64)
+    along = torch.as_tensor(sensor_positions, dtype=torch.float64, device="cpu")
     if along.ndim == 2 and bool((along[:, 1:] != along[:1, 1:]).any()):
         raise InputError.of_key(
             "sensor_positions", "sensors off a line", "sensors along the first coordinate"

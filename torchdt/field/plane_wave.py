@@ -44,10 +44,12 @@ class LineArrayField(nn.Module):
             raise ValueError(f"wave_speed is {wave_speed}; expected a positive number")
         self.num_tones = len(freqs)
         self.num_sensors = len(positions)
-        wavenumbers = -2 * math.pi / wave_speed * torch.tensor(list(freqs), dtype=torch.float64)
-        phase = wavenumbers[:, None] * torch.tensor(list(positions), dtype=torch.float64)
+        tones, places = (
+            torch.tensor(list(v), dtype=torch.float64, device=device) for v in (freqs, positions)
+        )
+        phase = (-2 * math.pi / wave_speed * tones)[:, None] * places
         dtype = dtype or torch.get_default_dtype()
-        self.register_buffer("_phase_per_sine", phase.to(device=device, dtype=dtype), persistent=False)
+        self.register_buffer("_phase_per_sine", phase.to(dtype), persistent=False)
 
     def forward(self, state: Tensor) -> Tensor:
         """Evaluate the response.

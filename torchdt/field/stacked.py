@@ -1,6 +1,7 @@
 """One field per sequence of a batch."""
 
 from collections.abc import Sequence
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -26,6 +27,11 @@ class StackedField:
         """Evaluate the responses, `(B, *batch, D)` to `(B, *batch, I, M)`."""
         return torch.stack([field(x) for field, x in zip(self.fields, state, strict=True)])
 
+    def select(self, sequences: slice) -> Self:
+        """The fields of some sequences; the same object where these are all."""
+        fields = self.fields[sequences]
+        return self if fields == self.fields else type(self)(fields)
+
 
 class StackedDiffuseField(StackedField):
     """The same for fields that say how their responses scatter."""
@@ -35,3 +41,13 @@ class StackedDiffuseField(StackedField):
     def diffuse(self, state: Tensor) -> Tensor:
         """Diffuse covariances, `(B, *batch, D)` to `(B, *batch, I, M, M)`."""
         return torch.stack([field.diffuse(x) for field, x in zip(self.fields, state, strict=True)])
+
+
+def select_field(field: Field, sequences: slice) -> Field:
+    """The field for some sequences of a batch: what all share stays as it is."""
+    return field.select(sequences) if isinstance(field, StackedField) else field
+
+
+def repeat_field(field: Field, number: int) -> Field:
+    """The field for a batch that is repeated as a whole: what all share stays as it is."""
+    return type(field)(field.fields * number) if isinstance(field, StackedField) else field

@@ -16,8 +16,9 @@ MIN_DEPTH = 0.01
 # States evaluated at a time: few on a CPU, to keep the work space in its cache, many elsewhere.
 _CHUNK_CPU = 2048
 _CHUNK_DEVICE = 65536
-# Smallest squared norm to divide by: far below that of any real field, and its power -3/2 is still finite.
+# Smallest energy and norm to divide by: far below those of any real field.
 _MIN_POWER = 1e-20
+_MIN_NORM = 1e-10
 
 
 class NormalModeField(nn.Module):
@@ -55,7 +56,7 @@ class NormalModeField(nn.Module):
     _cycles: Tensor  # (N,) minus wavenumber / 2 pi, 1/m, float64
     _receivers: Tensor  # (N, M) mode functions at the sensors over sqrt(kr), float64
     _heights: Tensor  # (M,) sensors above the deepest one, m, float64
-    _folded: Tensor | None  # (2 N, 2 M) receivers of the tilted array, see `_fold`; None: tilt is a tensor
+    _folded: Tensor | None  # (2, N, 2 M) receivers of the tilted array, see `_fold`; None: tilt is a tensor
 
     def __init__(
         self,
@@ -85,18 +86,21 @@ class NormalModeField(nn.Module):
 
         tables = [solve_modes(environment, float(f), max_phase_speed) for f in freqs]
         self.mode_counts = [len(table.wavenumber) for table in tables]
-        wavenumber = torch.cat([torch.tensor(table.wavenumber) for table in tables])
-        depths = torch.tensor(list(sensor_depths), dtype=torch.float64)
-        shapes = torch.cat([_interleave(table) for table in tables], dim=1)
+        wavenumber, loss = (
+            torch.cat([torch.tensor(getattr(table, name), device=device) for table in tables])
+            for name in ("wavenumber", "attenuation")
+        )
+        depths = torch.tensor(list(sensor_depths), dtype=torch.float64, device=device)
+        shapes = torch.cat([_interleave(table, device) for table in tables], dim=1)
         real = dtype or torch.get_default_dtype()
         for name, value, kind in (
             ("_shapes", shapes, real),
-            ("_loss", torch.cat([torch.tensor(table.attenuation) for table in tables]), real),
+            ("_loss", loss, real),
             ("_cycles", -wavenumber / (2 * math.pi), torch.float64),
             ("_receivers", (interpolate_modes(shapes, depths / bottom) / wavenumber.sqrt()).T, torch.float64),
             ("_heights", depths.max() - depths, torch.float64),
         ):
-            self.register_buffer(name, value.to(device, kind), persistent=False)
+            self.register_buffer(name, value.to(kind), persistent=False)
         folded = None if isinstance(tilt, Tensor) else self._fold()
         self.register_buffer("_folded", folded, persistent=False)
 
@@ -126,12 +130,17 @@ class NormalModeField(nn.Module):
                 f"expected (*batch, 2 or more) of {self._shapes.dtype}"
             )
         folded = self._fold() if self._folded is None else self._folded
-        receivers = folded.split([2 * n for n in self.mode_counts])
-        chunk_size = _CHUNK_CPU if state.device.type == "cpu" else _CHUNK_DEVICE
-        chunks = state[..., :2].reshape(-1, 2).split(chunk_size)
-        response = torch.cat([self._respond(chunk, receivers) for chunk in chunks])
-        response = response.reshape(*state.shape[:-1], self.num_tones, self.num_sensors, 2)
-        return torch.view_as_complex(response)
+        receivers = folded.split(self.mode_counts, 1)
+        size = _CHUNK_CPU if state.device.type == "cpu" else _CHUNK_DEVICE
+        # Chunks are cut between sets of states, so that tones before states takes no copy of its own.
+        num_states = state.shape[-2] if state.ndim > 1 else 1
+        sets = state[..., :2].reshape(math.prod(state.shape[:-2]), num_states, 2)
+        rows = sets.split(max(1, size // max(1, num_states)))
+        response = _join(
+            [_join([self._respond(part, receivers) for part in row.split(size, 1)], 2) for row in rows], 0
+        )
+        response = torch.view_as_complex(response.unflatten(-1, (self.num_sensors, 2)))
+        return response.transpose(1, 2).reshape(*state.shape[:-1], self.num_tones, self.num_sensors)
 
     def incoherent(self, state: Tensor) -> Tensor:
         """Mean of `a a^H` over random mode phases: `sum_n |c_n|^2 psi_n psi_n^H`, scaled to trace `|a|^2`.
@@ -146,7 +155,7 @@ class NormalModeField(nn.Module):
         distance = position[:, 0].clamp(min=MIN_RANGE)
         power = (self._depth_functions(position[:, 1]) * torch.exp(-distance[:, None] * self._loss)).square()
         folded = self._fold() if self._folded is None else self._folded
-        receivers = torch.view_as_complex(folded.reshape(-1, 2, self.num_sensors, 2)[:, 0].contiguous())
+        receivers = torch.view_as_complex(folded[0].unflatten(-1, (self.num_sensors, 2)))
         covariance = torch.stack(
             [
                 torch.einsum("sn,nm,nk->smk", p.to(r.dtype), r, r.conj())
@@ -163,39 +172,47 @@ class NormalModeField(nn.Module):
 
     def _depth_functions(self, depth: Tensor) -> Tensor:
         """`(S, N)` mode functions at source depths `(S,)`, kept inside the water."""
-        depth = depth.clamp(min=MIN_DEPTH)
-        depth = torch.minimum(depth, torch.as_tensor(self.water_depth).to(depth))
+        bottom = torch.as_tensor(self.water_depth, dtype=depth.dtype, device=depth.device)
+        depth = torch.minimum(depth.clamp(min=MIN_DEPTH), bottom)
         return interpolate_modes(self._shapes, depth / self.water_depth)
 
     def _respond(self, position: Tensor, receivers: Sequence[Tensor]) -> Tensor:
-        """`(S, 2)` positions to `(S, I, 2 M)` responses, real and imaginary parts alternating."""
-        distance = position[:, 0].clamp(min=MIN_RANGE)
+        """`(L, S, 2)` positions to `(L, I, S, 2 M)` responses, real and imaginary parts alternating."""
+        flat = position.flatten(0, 1)
+        distance = flat[:, 0].clamp(min=MIN_RANGE)
         cycles = (distance.double()[:, None] * self._cycles).frac_()
         phase = 2 * math.pi * cycles.to(position.dtype)
-        amplitude = self._depth_functions(position[:, 1]) * torch.exp(-distance[:, None] * self._loss)
-        modes = torch.stack([amplitude * torch.cos(phase), amplitude * torch.sin(phase)], dim=-1).flatten(1)
-        parts = modes.split([len(rows) for rows in receivers], dim=1)
-        response = torch.stack([part @ rows for part, rows in zip(parts, receivers, strict=True)], dim=1)
+        amplitude = self._depth_functions(flat[:, 1]) * torch.exp(-distance[:, None] * self._loss)
+        parts = [(amplitude * wave).split(self.mode_counts, 1) for wave in (phase.cos(), phase.sin())]
+        tones = [
+            torch.addmm(real @ rows[0], imag, rows[1]).unflatten(0, position.shape[:2])
+            for real, imag, rows in zip(*parts, receivers, strict=True)
+        ]
+        response = torch.stack(tones, dim=1)
         if self.normalize:
-            power = response.square().sum(-1, keepdim=True)
-            return response * power.clamp(min=_MIN_POWER).rsqrt()
-        return response * distance.rsqrt()[:, None, None]
+            return response / torch.linalg.vector_norm(response, dim=-1, keepdim=True).clamp(min=_MIN_NORM)
+        return response * distance.rsqrt().reshape(len(position), 1, -1, 1)
 
     def _fold(self) -> Tensor:
-        """Receivers with `exp(i k_n (r - r_m))`, as real matrices that multiply (real, imaginary) pairs."""
+        """Receivers with `exp(i k_n (r - r_m))`: what cosines and sines multiply, in real numbers."""
         tilt = torch.as_tensor(self.tilt, dtype=torch.float64, device=self._heights.device)
         nearer = torch.tan(torch.deg2rad(tilt)) * self._heights
         phase = -2 * math.pi * self._cycles[:, None] * nearer
         gain = self._receivers * torch.exp(self._loss.double()[:, None] * nearer)
         real, imag = gain * torch.cos(phase), gain * torch.sin(phase)
-        rows = torch.stack([torch.stack([real, imag], dim=-1), torch.stack([-imag, real], dim=-1)], dim=1)
-        return rows.reshape(2 * len(real), -1).to(self._shapes.dtype)
+        rows = torch.stack([torch.stack([real, imag], dim=-1), torch.stack([-imag, real], dim=-1)])
+        return rows.flatten(-2).to(self._shapes.dtype)
 
 
-def _interleave(table: ModeTable) -> Tensor:
+def _join(parts: Sequence[Tensor], dim: int) -> Tensor:
+    """Concatenate; a single part is taken as it is."""
+    return parts[0] if len(parts) == 1 else torch.cat(list(parts), dim)
+
+
+def _interleave(table: ModeTable, device: torch.device | str | None) -> Tensor:
     """`(2 G, N)` mode functions and slopes times the grid step, row by row in turn."""
     step = table.depth[1] - table.depth[0]
-    pair = torch.stack([torch.tensor(table.psi), torch.tensor(table.slope * step)], dim=1)
+    pair = torch.stack([torch.tensor(rows, device=device) for rows in (table.psi, table.slope * step)], dim=1)
     return pair.flatten(0, 1)
 
 

@@ -121,6 +121,35 @@ def gaussian_log_likelihood(measurement: Measurement, covariance: Tensor) -> Ten
     return -measurement.num_snapshots * (present.sum(-1) * math.log(math.pi) + log_det) - misfit
 
 
+def low_rank_log_likelihood(measurement: Measurement, columns: Tensor, noise: Tensor) -> Tensor:
+    """`gaussian_log_likelihood` for `C = A A^H + eta I`, with matrices of the size of the few columns of A.
+
+    By the determinant lemma and the Woodbury identity, with `L L^H = A^H A + eta I`: `log|C| =
+    (M - N) log eta + log|L L^H|` and `tr(C^-1 S) = (|B|^2 - |L^-1 A^H B|^2) / eta`. At high signal-to-noise
+    ratio that is a small difference of large numbers: give it double precision.
+
+    Args:
+        measurement: statistics, batch `(*batch, I)`.
+        columns: A, `(*batch, I, M, N)` complex.
+        noise: eta > 0, `(*batch, I)` real.
+
+    Returns:
+        `(*batch, I)` real; the constant counts only sensors that are present.
+
+    Raises:
+        NumericalError: where `A^H A + eta I` is not positive definite.
+    """
+    masked = columns * measurement.present[..., None]
+    eye = torch.eye(columns.shape[-1], dtype=columns.dtype, device=columns.device)
+    lower = cholesky(masked.mH @ masked + noise[..., None, None] * eye, "measurement covariance")
+    num_sensors = measurement.present.sum(-1)
+    log_diagonal = lower.diagonal(dim1=-2, dim2=-1).real.log()
+    log_det = (num_sensors - columns.shape[-1]) * noise.log() + 2 * log_diagonal.sum(-1)
+    projected = torch.linalg.solve_triangular(lower, masked.mH @ measurement.factor, upper=False)
+    energy = measurement.factor.abs().square().sum((-2, -1)) - projected.abs().square().sum((-2, -1))
+    return -measurement.num_snapshots * (num_sensors * math.log(math.pi) + log_det) - energy / noise
+
+
 def mask_covariance(signal: Tensor, noise: Tensor, present: Tensor) -> Tensor:
     """`C = signal + eta I` with the rows and columns of missing sensors removed from the signal part.
 

@@ -1,8 +1,9 @@
 """The numbers of the statistical model as tensors, so that a likelihood can be differentiated in them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from torchdt.config import TrackerConfig
@@ -29,6 +30,13 @@ class Parameters(NamedTuple):
     birth_mean: Tensor
     driving_variance: Tensor
     likelihood_power: Tensor
+
+    def select(self, sequences: slice) -> "Parameters":
+        """Numbers of some sequences of a batch `(B,)`; a number that all share stays as it is."""
+        shared = {name: int(name == "driving_variance") for name in self._fields}
+        return Parameters(
+            *(v[sequences] if v.ndim > shared[name] else v for name, v in self._asdict().items())
+        )
 
 
 def widen(value: Tensor, dims: int) -> Tensor:
@@ -60,3 +68,18 @@ def with_values(parameters: Parameters, values: Mapping[str, Tensor]) -> Paramet
     """
     named = {name: values[name].to(old) for name, old in parameters._asdict().items() if name in values}
     return parameters._replace(**named)
+
+
+def stack_parameters(settings: Sequence[Parameters], num_sequences: int) -> Parameters:
+    """Several settings for the same sequences, setting by setting.
+
+    Args:
+        settings: V of them, each of scalars and `(d,)`.
+        num_sequences: B.
+
+    Returns:
+        Parameters of batch `(V * B,)`: those of setting v at `v * B` up to `v * B + B - 1`.
+    """
+    return Parameters(
+        *(torch.stack(values).repeat_interleave(num_sequences, 0) for values in zip(*settings, strict=True))
+    )

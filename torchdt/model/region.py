@@ -1,5 +1,6 @@
 """The region of interest: coordinates, their limits, and the cells in which objects are born."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -91,7 +92,7 @@ class Region:
     @property
     def num_cells(self) -> int:
         """Number Q of birth cells in the region."""
-        return int(torch.tensor(self.grid_shape).prod())
+        return math.prod(self.grid_shape)
 
     def cell_centres(self) -> Tensor:
         """Centres of all birth cells, `(Q, d)`, last coordinate fastest."""

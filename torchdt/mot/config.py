@@ -41,5 +41,4 @@ class PointConfig(ObjectConfig):
 
     def spread_in(self, region: Region) -> list[float]:
         """Standard deviation of a point in each of the d coordinates of a region, in its units."""
-        names = [coordinate.name for coordinate in region.coordinates]
-        return [self.spread.get(n, 0.5) * cell for n, cell in zip(names, region.cell.tolist(), strict=True)]
+        return [self.spread.get(c.name, 0.5) * (c.high - c.low) / c.num_cells for c in region.coordinates]

@@ -19,7 +19,7 @@ def normalise(log_weight: Tensor) -> tuple[Tensor, Tensor]:
     # Log-likelihoods of 1e5 and more have rounding errors of percents: take the largest off before the
     # sum, or the weights would not add up to one.
     shifted = torch.where(none, 0.0, log_weight - torch.where(none, 0.0, top))
-    log_sum = torch.logsumexp(shifted, -1, keepdim=True)
+    log_sum = shifted.exp().sum(-1, keepdim=True).log()
     total = torch.where(none, -torch.inf, top + log_sum)
     return shifted - log_sum, total.squeeze(-1)
 

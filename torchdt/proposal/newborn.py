@@ -17,7 +17,8 @@ from torchdt.bp.messages import state_message
 from torchdt.bp.moments import signal_covariance, signal_without_each
 from torchdt.bp.noise import update_noise
 from torchdt.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics, whiten
-from torchdt.detect.dictionary import Dictionary, likelihood_surface
+from torchdt.detect.dictionary import Dictionary
+from torchdt.detect.strongest import strongest_cell
 from torchdt.field.base import Field
 from torchdt.field.mismatch import DiffuseField
 from torchdt.model.gamma_chain import uniform_prior_around
@@ -89,7 +90,7 @@ def search(
     gains = [_log_likelihood(measurement, signal, belief)]
     for pick in range(rounds.shape[-4]):
         whitener = whiten(measurement, mask_covariance(signal, belief.mean, measurement.present))
-        score, cell = likelihood_surface(dictionary, whitener).max(-1)
+        score, cell = strongest_cell(dictionary, whitener)
         alive = alive & ((score > threshold) | unsettled) & (pick < free)
         if not bool(alive.any()):
             break

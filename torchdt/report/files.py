@@ -11,11 +11,14 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 import torchdt
 from torchdt.atomic import atomic_write
+from torchdt.config import TrackerConfig
 from torchdt.history import TrackHistory
 from torchdt.metrics import Gospa
+from torchdt.model.parameters import Parameters
 
 WAVEGUIDE_COLUMNS = ("range_m", "depth_m", "range_rate_mps", "depth_rate_mps")
 
@@ -67,6 +70,36 @@ def write_tracks_csv(
     label, existence = history.label[index].tolist(), history.existence[index].tolist()
     values = torch.cat([history.state[index], history.power[index].to(history.state)], -1).tolist()
     rows = ((run[i], step[i], step[i] * step_s, label[i], existence[i], *values[i]) for i in range(len(run)))
+    _write_csv(path, header, rows)
+
+
+def write_variants_csv(
+    path: str | os.PathLike[str],
+    variants: Sequence[TrackerConfig],
+    history: TrackHistory,
+    gospa: Gospa | None,
+) -> None:
+    """Write one row per setting of the model: its values, and means over its runs and all steps.
+
+    Args:
+        path: where to write, usually `variants.csv`.
+        variants: V of them. A driving variance of None, the scenario's own, is an empty cell; otherwise it
+            is a list in one.
+        history: batch shape `(V * B,)`, variant by variant.
+        gospa: `(V * B, K)`, or None without truth: its cells are empty.
+    """
+    names, parts = Parameters._fields, ("total", "localisation", "missed", "false")
+    header = ("variant", *names, "gospa", *parts[1:], "log_likelihood")
+
+    def means(values: Tensor) -> list[float]:
+        return values.double().reshape(len(variants), -1).mean(-1).tolist()
+
+    scores = [[None] * len(variants) if gospa is None else means(getattr(gospa, part)) for part in parts]
+    columns = zip(*scores, means(history.log_evidence.double().sum(-1)), strict=True)
+    rows = (
+        (index, *(getattr(variant, name) for name in names), *row)
+        for index, (variant, row) in enumerate(zip(variants, columns, strict=True))
+    )
     _write_csv(path, header, rows)
 
 
@@ -133,7 +166,7 @@ def write_json(path: str | os.PathLike[str], content: Mapping[str, object]) -> N
         file.write(f"{text}\n".encode())
 
 
-def _write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[float]]) -> None:
+def _write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(header)

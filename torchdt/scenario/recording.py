@@ -1,7 +1,8 @@
 """A recording: what the array measured, where its sensors are and, if known, where the objects were."""
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor
@@ -85,6 +86,20 @@ class Recording:
     def truth_mask(self) -> Tensor | None:
         """`(B, K, L)` bool, the objects present: those with all coordinates known. None without truth."""
         return None if self.truth is None else ~self.truth.isnan().any(-1)
+
+    def select(self, sequences: slice) -> Self:
+        """Some of the sequences, without copying them."""
+        return self._of_each(lambda values: values[sequences])
+
+    def repeat(self, number: int) -> Self:
+        """All sequences `number` times, the batch as a whole each time."""
+        return self._of_each(lambda values: torch.cat([values] * number))
+
+    def _of_each(self, change: Callable[[Tensor], Tensor]) -> Self:
+        """Change what has a batch dimension."""
+        parts = (self.snapshots, self.covariance, self.truth)
+        snapshots, covariance, truth = (None if part is None else change(part) for part in parts)
+        return replace(self, snapshots=snapshots, covariance=covariance, truth=truth)
 
     def times(self) -> Tensor:
         """`(K,)` float64 seconds since the first step."""
