@@ -1,13 +1,16 @@
 """Where the particles of a step are: known objects moved to the data, new ones found in what these leave."""
 
+import copy
+
 import torch
 from torch import Tensor
 
 from torchdt.bp.moments import signal_covariance
-from torchdt.bp.schedule import Beliefs, initial_beliefs, select, update
+from torchdt.bp.schedule import Beliefs, initial_beliefs, update
 from torchdt.config import TrackerConfig
 from torchdt.detect.dictionary import Dictionary
 from torchdt.field.base import Field
+from torchdt.field.stacked import select_field
 from torchdt.model.kinematics import drop_outside
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
@@ -15,6 +18,7 @@ from torchdt.model.region import Region
 from torchdt.predict import Predicted
 from torchdt.proposal.moved import Draws, propose_adapted
 from torchdt.proposal.newborn import Picks, propose_newborn, search
+from torchdt.rows import put_sequences, select, take_sequences
 from torchdt.slots import Placed, join, join_beliefs
 from torchdt.state import Noise, Objects
 
@@ -83,10 +87,31 @@ class Placer:
         if cfg.proposal == "adapted":
             # Energy of objects not yet known has pulled at the known ones: place them again without it.
             found = signal_covariance(picks.power, picks.moment)
-            start = predicted.beliefs._replace(noise=explained)
-            again = self._place_known(predicted, start, measurement, known, found)
-            current = select(picks.active.any(-1), again, current)
+            current = self._place_again(current, predicted, explained, measurement, known, found, picks)
         return self._add_newborn(current, picks, measurement, priors, newborn)
+
+    def _place_again(
+        self,
+        current: Placed,
+        predicted: Predicted,
+        noise: Noise,
+        measurement: Measurement,
+        draws: Draws,
+        found: Tensor,
+        picks: Picks,
+    ) -> Placed:
+        """Known objects placed anew in those sequences in which something was found."""
+        some = picks.active.any(-1)
+        if some.ndim != 1 or bool(some.all()):
+            start = predicted.beliefs._replace(noise=noise)
+            return select(some, self._place_known(predicted, start, measurement, draws, found), current)
+        rows = some.nonzero().squeeze(-1)
+        arguments = (predicted, noise, measurement, draws, found)
+        predicted, noise, measurement, draws, found = take_sequences(arguments, rows)
+        placer = copy.copy(self)
+        placer.field = select_field(self.field, rows.tolist())
+        start = predicted.beliefs._replace(noise=noise)
+        return put_sequences(current, rows, placer._place_known(predicted, start, measurement, draws, found))
 
     def _place_known(
         self,

@@ -4,13 +4,13 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torchdt.bp.schedule import Beliefs, initial_beliefs
+from torchdt.bp.schedule import Beliefs, as_belief, initial_beliefs
 from torchdt.field.base import Field
 from torchdt.model.gamma_chain import predict_chain
 from torchdt.model.kinematics import predict_log_odds, predict_moments, predict_state
 from torchdt.model.parameters import Parameters, widen
 from torchdt.particles.transition import drive
-from torchdt.particles.weights import mean_and_covariance
+from torchdt.particles.weights import mean_and_covariance, normalise
 from torchdt.proposal.moved import diffuse_part, respond
 from torchdt.state import Objects, TrackerState
 
@@ -21,7 +21,7 @@ class Predicted(NamedTuple):
     Attributes:
         objects: with moved particles, batch `(*batch, N)`.
         moments: mean `(*batch, N, D)` and covariance `(*batch, N, D, D)` of their states.
-        response: `(*batch, N, I, P, M)` complex.
+        response: `(*batch, N, I, P, M)` complex, or of fewer particles where these are enough.
         beliefs: before any message.
     """
 
@@ -32,7 +32,13 @@ class Predicted(NamedTuple):
 
 
 def predict(
-    field: Field, parameters: Parameters, step_s: float, state: TrackerState, draws: Tensor, gradient: str
+    field: Field,
+    parameters: Parameters,
+    step_s: float,
+    state: TrackerState,
+    draws: Tensor,
+    gradient: str,
+    enough: int | None = None,
 ) -> Predicted:
     """Move objects, powers and existence by one step.
 
@@ -44,6 +50,7 @@ def predict(
             are left out of the result.
         draws: `(*batch, N, P, d)` standard normal.
         gradient: how the particles depend on the driving noise, see `drive`.
+        enough: number of particles whose responses suffice, for their moments; None takes all.
     """
     dim = state.objects.log_odds.ndim - 1
     occupied = max(1, int(state.objects.log_odds.isfinite().sum(-1).max()))
@@ -59,9 +66,16 @@ def predict(
         old.label,
     )
     moments = predict_moments(*mean_and_covariance(old.state, old.log_weight), step_s, variance)
-    response = respond(field, objects.state)
+    every = 1 if enough is None else max(1, objects.state.shape[-2] // enough)
+    heard = objects
+    if every > 1:
+        heard = objects._replace(
+            state=objects.state[..., ::every, :], log_weight=normalise(objects.log_weight[..., ::every])[0]
+        )
+    response = respond(field, heard.state)
     diffuse = diffuse_part(field, objects.state, objects.log_weight)
-    return Predicted(objects, moments, response, initial_beliefs(objects, response, state.noise, diffuse))
+    beliefs = initial_beliefs(heard, response, state.noise, diffuse)._replace(objects=as_belief(objects))
+    return Predicted(objects, moments, response, beliefs)
 
 
 def exchangeable(predicted: Predicted, num_coordinates: int, within: float = 3.0) -> Tensor:

@@ -34,6 +34,9 @@ from torchdt.scenario.recording import Recording
 from torchdt.slots import Placed
 from torchdt.state import Noise, Objects, TrackerState
 
+ENOUGH = 250
+"""Particles of a predicted object from which the covariance of its response is taken, at least."""
+
 
 class StepDraws(NamedTuple):
     """Random numbers of one step.
@@ -136,9 +139,9 @@ class DirectTracker(Tracker[TrackerState]):
             NumericalError: where a covariance is not positive definite or a message not finite.
         """
         cfg, parameters = self.config, self.parameters
-        draws = self._draws(streams)
+        draws = self.draw(streams)
         tempered = measurement.tempered(widen(parameters.likelihood_power, 1))
-        predicted = predict(self.field, parameters, self.step_s, state, draws.driving, cfg.gradient)
+        predicted = self.predict(state, draws.driving)
         noise, born = state.noise, birth_log_odds(parameters.birth_mean, self.region.num_cells)
         placer = Placer(self.field, self.region, self.dictionary, cfg, born)
         current = placer.place(predicted, noise, tempered, priors, draws.known, draws.newborn, draws.picks)
@@ -151,7 +154,7 @@ class DirectTracker(Tracker[TrackerState]):
             schedule=cfg.schedule,
             initial=current.beliefs,
         )
-        log_evidence = self._evidence(predicted, current, noise, measurement, beliefs, draws.evidence)
+        log_evidence = self.evidence(predicted, current, noise, measurement, beliefs, draws.evidence)
         objects, next_label, estimate = conclude(current.objects, beliefs, state, log_evidence, cfg)
         if cfg.proposal == "prior":
             objects = resample(objects, cfg, streams)
@@ -160,7 +163,7 @@ class DirectTracker(Tracker[TrackerState]):
         )
         return TrackerState(empty_slots(objects, self._idle), Noise(*chain), next_label), estimate
 
-    def _draws(self, streams: RandomStreams) -> StepDraws:
+    def draw(self, streams: RandomStreams) -> StepDraws:
         """Random numbers of a step, always as many, whatever the other sequences of the batch need."""
         cfg, d = self.config, self.region.num_coordinates
         size = (cfg.rounds, cfg.round_size, d)
@@ -172,7 +175,14 @@ class DirectTracker(Tracker[TrackerState]):
             UniformDraws.draw(streams, cfg.slots + cfg.births, self.field.num_tones, cfg.evidence_samples),
         )
 
-    def _evidence(
+    def predict(self, state: TrackerState, draws: Tensor) -> Predicted:
+        """Objects before the data of a step, see `torchdt.predict.predict`."""
+        cfg = self.config
+        # Adapted proposals draw particles of their own: of the predicted ones they need only the moments.
+        enough = ENOUGH if cfg.proposal == "adapted" and cfg.evidence == "sampled" else None
+        return predict(self.field, self.parameters, self.step_s, state, draws, cfg.gradient, enough)
+
+    def evidence(
         self,
         predicted: Predicted,
         current: Placed,

@@ -11,12 +11,13 @@ from omegaconf import OmegaConf
 from oracles.arrays import complex_normal
 from oracles.scenes import make_scene
 
-from torchdt.bp.schedule import background, initial_beliefs, select, update
+from torchdt.bp.schedule import background, initial_beliefs, update
 from torchdt.field.build import waveguide
 from torchdt.field.mismatch import MismatchedField
 from torchdt.model.gamma_chain import uniform_prior
 from torchdt.model.measurement import from_snapshots
 from torchdt.proposal.moved import diffuse_part, respond
+from torchdt.rows import select
 from torchdt.state import Noise, Objects
 
 F64, C128 = torch.float64, torch.complex128

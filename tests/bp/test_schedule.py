@@ -7,7 +7,7 @@ from oracles.arrays import direct_log_likelihood
 from oracles.enumeration import enumerate_pair
 from oracles.scenes import LEFT_RIGHT, SAME, TOUCHING, UNAMBIGUOUS, Scene, make_scene, unambiguous
 
-from torchdt.bp.schedule import as_belief, put, strongest_first, take, update
+from torchdt.bp.schedule import as_belief, strongest_first, update
 from torchdt.model.measurement import Measurement
 from torchdt.state import Noise, Objects
 
@@ -162,20 +162,6 @@ def test_empty_slots_stay_empty_and_do_not_matter():
     assert with_empty.strength[0].eq(0).all()
     torch.testing.assert_close(with_empty.objects.log_odds[1:], alone.objects.log_odds)
     torch.testing.assert_close(with_empty.objects.log_weight[1:], alone.objects.log_weight)
-
-
-@pytest.mark.parametrize("index", [torch.tensor(2), torch.tensor([0, 3]), torch.tensor([[1], [2]])])
-@pytest.mark.parametrize("rest", [(), (3,), (2, 5)])
-def test_take_and_put_are_inverse(index, rest):
-    tensor = torch.randn(*index.shape, 4, *rest, generator=torch.Generator().manual_seed(1))
-    taken = take(tensor, index)
-    assert taken.shape == (*index.shape, *rest)
-    for at in np.ndindex(*index.shape):
-        assert torch.equal(taken[at], tensor[at][index[at]])
-    assert torch.equal(put(tensor, index, taken), tensor)
-    changed = put(tensor, index, taken + 1)
-    torch.testing.assert_close(take(changed, index), taken + 1)
-    assert int((changed != tensor).sum()) == taken.numel()
 
 
 def test_strongest_first_sorts_by_total_power_and_keeps_ties():

@@ -17,6 +17,11 @@ def rng():
     return torch.Generator().manual_seed(0)
 
 
+def anywhere(dictionary, whitener):
+    """Among all sequences."""
+    return strongest_cell(dictionary, whitener, whitener.num_snapshots[..., 0].isfinite())
+
+
 def make_dictionary(rng, *batch, dtype=torch.complex128):
     response = complex_normal(rng, *batch, TONES, CELLS, SENSORS)
     response = (response * (0.5 + complex_normal(rng, TONES, CELLS, 1).abs())).to(dtype)
@@ -43,7 +48,7 @@ def test_is_the_largest_value_of_the_surface(rng, objects, power, dtype):
     for batch in ((), (4,), (2, 3)):
         whitener = make_whitener(rng, *batch, objects=objects, power=power, dtype=dtype)
         surface = likelihood_surface(dictionary, whitener)
-        score, cell = strongest_cell(dictionary, whitener)
+        score, cell = anywhere(dictionary, whitener)
         torch.testing.assert_close(score, surface.amax(-1), rtol=1e-4, atol=1e-4)
         torch.testing.assert_close(surface.gather(-1, cell[..., None])[..., 0], score, rtol=1e-4, atol=1e-4)
 
@@ -53,13 +58,13 @@ def test_finds_what_is_heard(rng, dtype):
     dictionary = make_dictionary(rng, dtype=dtype)
     heard = dictionary.response[:, 123].to(torch.complex128)[:, None]
     whitener = make_whitener(rng, 5, objects=2, power=1e3, dtype=dtype, heard=30 * heard)
-    assert strongest_cell(dictionary, whitener)[1].eq(123).all()
+    assert anywhere(dictionary, whitener)[1].eq(123).all()
 
 
 def test_missing_sensors_and_tones(rng):
     dictionary = make_dictionary(rng)
     whitener = make_whitener(rng, 4, objects=2, power=1e3, dead=(3, 7))
-    score, cell = strongest_cell(dictionary, whitener)
+    score, cell = anywhere(dictionary, whitener)
     expected = likelihood_surface(dictionary, whitener).max(-1)
     torch.testing.assert_close(score, expected.values)
     assert torch.equal(cell, expected.indices)
@@ -68,7 +73,7 @@ def test_missing_sensors_and_tones(rng):
 def test_one_dictionary_for_each_sequence(rng):
     dictionary = make_dictionary(rng, 4)
     whitener = make_whitener(rng, 4, objects=2, power=1e3)
-    score, cell = strongest_cell(dictionary, whitener)
+    score, cell = anywhere(dictionary, whitener)
     expected = likelihood_surface(dictionary, whitener).max(-1)
     torch.testing.assert_close(score, expected.values)
     assert torch.equal(cell, expected.indices)
@@ -76,7 +81,18 @@ def test_one_dictionary_for_each_sequence(rng):
 
 def test_the_blocks_do_not_matter(rng, monkeypatch):
     dictionary, whitener = make_dictionary(rng), make_whitener(rng, 2, objects=2, power=1e3)
-    whole = strongest_cell(dictionary, whitener)
+    whole = anywhere(dictionary, whitener)
     monkeypatch.setattr("torchdt.detect.strongest.BLOCK", 5000)
-    for found, expected in zip(strongest_cell(dictionary, whitener), whole, strict=True):
+    for found, expected in zip(anywhere(dictionary, whitener), whole, strict=True):
         torch.testing.assert_close(found, expected)
+
+
+def test_only_some_sequences_are_looked_at(rng):
+    whitener, among = make_whitener(rng, 4, objects=2, power=1e3), torch.tensor([False, True, False, True])
+    for dictionary in (make_dictionary(rng), make_dictionary(rng, 4)):
+        score, cell = strongest_cell(dictionary, whitener, among)
+        expected = likelihood_surface(dictionary, whitener).max(-1)
+        torch.testing.assert_close(score[among], expected.values[among])
+        assert torch.equal(cell[among], expected.indices[among])
+        assert score[~among].isneginf().all()
+        assert strongest_cell(dictionary, whitener, among & ~among)[0].isneginf().all()

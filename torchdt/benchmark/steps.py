@@ -21,7 +21,6 @@ from torchdt.model.measurement import Measurement
 from torchdt.model.parameters import Parameters, widen
 from torchdt.model.prior import Priors
 from torchdt.placement import Placer
-from torchdt.predict import predict
 from torchdt.proposal.moved import respond
 from torchdt.proposal.newborn import propose_newborn, search
 from torchdt.random import RandomStreams
@@ -96,14 +95,13 @@ def forward_parts(
         streams: random numbers.
     """
     cfg, field, region, noise = tracker.config, tracker.field, tracker.region, state.noise
-    draws = tracker._draws(streams)
+    draws = tracker.draw(streams)
     tempered = measurement.tempered(widen(tracker.parameters.likelihood_power, 1))
     born = birth_log_odds(tracker.parameters.birth_mean, region.num_cells)
     placer = Placer(field, region, tracker.dictionary, cfg, born)
     adapted = cfg.proposal == "adapted"
 
-    moving = (tracker.parameters, tracker.step_s, state, draws.driving, cfg.gradient)
-    predicted = predict(field, *moving)
+    predicted = tracker.predict(state, draws.driving)
     placing = (predicted, noise, tempered, priors, draws.known, draws.newborn, draws.picks)
     placed = placer.place(*placing)
     sweep = partial(
@@ -117,7 +115,7 @@ def forward_parts(
     )
     beliefs = sweep(sweeps=cfg.sweeps)
     weighing = (predicted, placed, noise, measurement, beliefs, draws.evidence)
-    log_evidence = tracker._evidence(*weighing)
+    log_evidence = tracker.evidence(*weighing)
     signal = signal_covariance(beliefs.strength, beliefs.moment)
     occupied = placed.objects.log_odds.isfinite().sum(-1)
 
@@ -146,7 +144,7 @@ def forward_parts(
     slot_weight = log_weight[:, 0]
     return {
         "field": (partial(respond, field, slot_state), one),
-        "prediction": (partial(predict, field, *moving), f"{objects}, their field included"),
+        "prediction": (partial(tracker.predict, state, draws.driving), f"{objects}, their field included"),
         "moment matching": (partial(response_moment, slot_response, slot_weight), one),
         "messages of one sweep": (partial(sweep, sweeps=1), f"{objects}, moments and noise included"),
         "update": (partial(sweep, sweeps=cfg.sweeps), f"all {cfg.sweeps} sweeps"),
@@ -164,7 +162,7 @@ def forward_parts(
             partial(resample_particles, particles, log_weight, *roughening, always),
             f"{objects}, with roughening; no part of a step with adapted proposals",
         ),
-        "sampled evidence": (partial(tracker._evidence, *weighing), f"{cfg.evidence_samples} configurations"),
+        "sampled evidence": (partial(tracker.evidence, *weighing), f"{cfg.evidence_samples} configurations"),
         "conclusion": (partial(conclude, placed.objects, beliefs, state, log_evidence, cfg), ""),
         WHOLE: (partial(tracker.step, state, measurement, priors, streams), f"{cfg.slots} slots, {one}"),
     }
@@ -211,6 +209,8 @@ def _leaf(tensor: Tensor) -> Tensor:
 def measure_batch(tracker: DirectTracker, recording: Recording, repeats: int) -> list[Measured]:
     """A batch of sequences and, in turn, one of them after the other alone, by `torchdt.tracking.track`.
 
+    The batch has one worker for each thread of the linear algebra, the single sequence all threads.
+
     Args:
         tracker: the tracker.
         recording: B sequences.
@@ -224,7 +224,7 @@ def measure_batch(tracker: DirectTracker, recording: Recording, repeats: int) ->
         track(recording.select(slice(row, row + 1)), tracker, [row])
 
     calls: dict[str, Callable[[], Any]] = {
-        "batch": partial(track, recording, tracker, range(size)),
+        "batch": partial(track, recording, tracker, range(size), workers=torch.get_num_threads()),
         "one": alone,
     }
     taken = clock_in_turn(calls, repeats, tracker.region.low.device)

@@ -16,10 +16,11 @@ from torch.nn.functional import logsigmoid
 
 from torchdt.bp.messages import ObjectBelief, object_belief
 from torchdt.bp.rank_one import whiten
-from torchdt.bp.schedule import Beliefs, as_belief, background, put, take
+from torchdt.bp.schedule import Beliefs, as_belief, background
 from torchdt.model.measurement import Measurement
 from torchdt.particles.resampling import invert_cumulative
 from torchdt.random import RandomStreams
+from torchdt.rows import put, take
 from torchdt.state import Noise, Objects
 
 DOUBT = 0.01

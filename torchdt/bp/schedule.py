@@ -6,7 +6,7 @@ the beliefs of the last pass, as loopy BP is usually written; it finds ghosts be
 may oscillate for ever where objects overlap.
 """
 
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,6 +16,7 @@ from torchdt.bp.moments import response_moment, signal_covariance, signal_withou
 from torchdt.bp.noise import update_noise
 from torchdt.bp.rank_one import whiten
 from torchdt.model.measurement import Measurement, mask_covariance
+from torchdt.rows import put, take
 from torchdt.state import Noise, Objects, weighted_mean
 
 
@@ -56,47 +57,6 @@ def initial_beliefs(prior: Objects, response: Tensor, noise: Noise, diffuse: Ten
 def strongest_first(strength: Tensor) -> Tensor:
     """Slots by decreasing total strength, `(*batch, N, I)` to `(*batch, N)` int64; ties keep their order."""
     return torch.sort(strength.sum(-1), dim=-1, descending=True, stable=True).indices
-
-
-def take(tensor: Tensor, index: Tensor) -> Tensor:
-    """Entry `index` of dimension `index.ndim`, per batch element: `(*batch, N, ...)` to `(*batch, ...)`."""
-    rows = tensor.flatten(0, index.ndim)
-    if index.numel() == 1 and index.device.type == "cpu":
-        row = rows[int(index)]  # without a copy
-    else:
-        row = rows.index_select(0, _row(tensor, index))
-    return row.reshape((*index.shape, *tensor.shape[index.ndim + 1 :]))
-
-
-def put(tensor: Tensor, index: Tensor, value: Tensor) -> Tensor:
-    """The inverse of `take`, out of place."""
-    shape = tensor.shape[index.ndim + 1 :]
-    rows = value.expand((*index.shape, *shape)).reshape((index.numel(), *shape))
-    return tensor.flatten(0, index.ndim).index_copy(0, _row(tensor, index), rows).reshape(tensor.shape)
-
-
-def _row(tensor: Tensor, index: Tensor) -> Tensor:
-    """Where the entries are once batch and slots are one dimension: whole rows are copied faster so."""
-    row = index.reshape(-1)
-    if len(row) > 1:
-        row = row + tensor.shape[index.ndim] * torch.arange(len(row), device=row.device)
-    return row
-
-
-Tree = TypeVar("Tree", bound=tuple[Any, ...])
-
-
-def select(condition: Tensor, first: Tree, second: Tree) -> Tree:
-    """Take each batch element from one of two (nested) tuples of tensors `(*batch, ...)`."""
-
-    def choose(a: Any, b: Any) -> Any:
-        if isinstance(a, Tensor):
-            return torch.where(
-                condition.reshape(*condition.shape, *(1 for _ in a.shape[condition.ndim :])), a, b
-            )
-        return a if a is None else type(a)(*(choose(x, y) for x, y in zip(a, b, strict=True)))
-
-    return choose(first, second)
 
 
 def update(

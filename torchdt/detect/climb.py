@@ -5,8 +5,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchdt.bp.schedule import take
 from torchdt.model.region import Region
+from torchdt.rows import take
 
 LEVELS = 6
 """Grids of the search; the steps are half a birth cell, a quarter, ..., 1/64."""

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from torchdt.bp.rank_one import Whitener, statistics
-from torchdt.bp.schedule import put, take
 from torchdt.detect.climb import climb
 from torchdt.detect.peaks import close
 from torchdt.detect.points import Points
@@ -19,6 +18,7 @@ from torchdt.linalg import cholesky
 from torchdt.model.measurement import Measurement
 from torchdt.model.region import Region
 from torchdt.proposal.moved import respond
+from torchdt.rows import put, take
 
 RIDGE = 1e-12
 """Added to the squared norm of unit responses, for points of equal responses."""

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from torchdt.bp.rank_one import peak_log_likelihood_ratio
-from torchdt.bp.schedule import put
 from torchdt.detect.config import PursuitConfig
 from torchdt.detect.describe import Remainder, describe, polish, project_out
 from torchdt.detect.dictionary import Dictionary
@@ -19,6 +18,7 @@ from torchdt.detect.points import Points
 from torchdt.field.base import Field
 from torchdt.model.measurement import Measurement
 from torchdt.model.region import Region
+from torchdt.rows import put
 
 COLUMNS = 32
 """Columns that are multiplied with the dictionary at once: the product is the largest tensor of all."""

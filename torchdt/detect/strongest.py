@@ -22,20 +22,32 @@ BLOCK = 1_000_000
 """Numbers of the largest tensor, to stay within the cache of a processor."""
 
 
-def strongest_cell(dictionary: Dictionary, whitener: Whitener) -> tuple[Tensor, Tensor]:
+def strongest_cell(dictionary: Dictionary, whitener: Whitener, among: Tensor) -> tuple[Tensor, Tensor]:
     """The largest value of `likelihood_surface`, `(*batch,)`, and its cell, `(*batch,)` int64.
 
     Args:
         dictionary: responses on the grid.
         whitener: of the background, batch `(*batch,)`.
+        among: `(*batch,)` bool, the sequences to look at; others get minus infinity and cell 0.
     """
-    batch, num_sensors = whitener.num_snapshots.shape[:-1], whitener.projection.shape[-2]
-    flat = Whitener(*(t.reshape(-1, *t.shape[len(batch) :]) for t in whitener))
+    rows = among.flatten().nonzero().squeeze(-1)
+    flat = Whitener(*(t.reshape(-1, *t.shape[among.ndim :])[rows] for t in whitener))
+    if dictionary.response.ndim > 3 and len(rows) < among.numel():
+        dictionary = dictionary._replace(response=dictionary.response[rows], energy=dictionary.energy[rows])
+    found = _strongest(dictionary, flat) if len(rows) else (flat.num_snapshots.sum(-1), rows)
+    nowhere = (found[0].new_full((among.numel(),), -torch.inf), rows.new_zeros(among.numel()))
+    score, cell = (t.index_copy(0, rows, f).reshape(among.shape) for t, f in zip(nowhere, found, strict=True))
+    return score, cell
+
+
+def _strongest(dictionary: Dictionary, flat: Whitener) -> tuple[Tensor, Tensor]:
+    """The same for all of B sequences."""
+    num_sensors = flat.projection.shape[-2]
     root = flat.projection[..., :num_sensors]
     level, vector = torch.linalg.eigh(root @ root.mH)
     few = int((level * BULK < level[..., -1:]).sum(-1).max())
     if few > num_sensors // 2:
-        score, cell = likelihood_surface(dictionary, whitener).max(-1)
+        score, cell = likelihood_surface(dictionary, flat).max(-1)
         return score, cell
     bulk = level[..., few]
     strong = vector[..., :few] * (bulk[..., None] - level[..., :few]).clamp_min(0).sqrt()[..., None, :]
@@ -45,7 +57,7 @@ def strongest_cell(dictionary: Dictionary, whitener: Whitener) -> tuple[Tensor, 
     floor = (level[..., 0] * (1 - slack)).clamp_min(0)
     bound = _bounds(dictionary, columns, few, flat.num_snapshots, bulk * (1 - slack), floor)
     best = [_test(dictionary, flat, b, row) for b, row in enumerate(bound)]
-    score, cell = (torch.stack(t).reshape(batch) for t in zip(*best, strict=True))
+    score, cell = (torch.stack(t) for t in zip(*best, strict=True))
     return score, cell
 
 

@@ -27,9 +27,10 @@ class StackedField:
         """Evaluate the responses, `(B, *batch, D)` to `(B, *batch, I, M)`."""
         return torch.stack([field(x) for field, x in zip(self.fields, state, strict=True)])
 
-    def select(self, sequences: slice) -> Self:
+    def select(self, sequences: slice | Sequence[int]) -> Self:
         """The fields of some sequences; the same object where these are all."""
-        fields = self.fields[sequences]
+        chosen = range(len(self.fields))[sequences] if isinstance(sequences, slice) else sequences
+        fields = tuple(self.fields[b] for b in chosen)
         return self if fields == self.fields else type(self)(fields)
 
 
@@ -43,7 +44,7 @@ class StackedDiffuseField(StackedField):
         return torch.stack([field.diffuse(x) for field, x in zip(self.fields, state, strict=True)])
 
 
-def select_field(field: Field, sequences: slice) -> Field:
+def select_field(field: Field, sequences: slice | Sequence[int]) -> Field:
     """The field for some sequences of a batch: what all share stays as it is."""
     return field.select(sequences) if isinstance(field, StackedField) else field
 

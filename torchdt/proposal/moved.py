@@ -10,7 +10,7 @@ from torch import Tensor
 from torchdt.bp.messages import ObjectBelief, object_belief, state_message
 from torchdt.bp.moments import response_moment
 from torchdt.bp.rank_one import whiten
-from torchdt.bp.schedule import Beliefs, as_belief, background, store, take
+from torchdt.bp.schedule import Beliefs, as_belief, background, store
 from torchdt.field.base import Field
 from torchdt.field.mismatch import DiffuseField
 from torchdt.model.kinematics import drop_outside
@@ -18,6 +18,7 @@ from torchdt.model.measurement import Measurement
 from torchdt.model.region import Region
 from torchdt.particles.adaptive import Gaussian, adapt
 from torchdt.particles.resampling import scale_tril
+from torchdt.rows import take
 from torchdt.state import Objects, weighted_mean
 
 

@@ -90,7 +90,7 @@ def search(
     gains = [_log_likelihood(measurement, signal, belief)]
     for pick in range(rounds.shape[-4]):
         whitener = whiten(measurement, mask_covariance(signal, belief.mean, measurement.present))
-        score, cell = strongest_cell(dictionary, whitener)
+        score, cell = strongest_cell(dictionary, whitener, alive)
         alive = alive & ((score > threshold) | unsettled) & (pick < free)
         if not bool(alive.any()):
             break
