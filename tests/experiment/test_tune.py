@@ -325,6 +325,7 @@ def test_bad_input(tmp_path, override, words):
         (["tuning.steps=0"], "key 'tuning.steps': found 0, expected a positive integer"),
         (["tuning.method=tpe"], "key 'tuning.budget_passes'"),
         (["+tuning.stepz=1"], "key 'tuning.stepz': found an unknown key"),
+        (["variants=[{survival: 0.9}]"], "key 'variants': found .*, expected null: the search"),
         (["data=npz", "data.path=x.npz"], "key 'data': found npz, expected train_paths and heldout_paths"),
     ],
 )

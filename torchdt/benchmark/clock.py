@@ -31,17 +31,20 @@ def clock_in_turn(
     """Seconds of several calls, one after another, over and over, so that other load hits all of them.
 
     Args:
-        calls: by name; each is made once before the clock runs.
+        calls: by name; each is made once more before the clock runs, in every round, or it would pay for the
+            threads that the last one has left spinning.
         repeats: rounds that count.
         device: on which the calls leave work.
 
     Returns:
         Of every call its `repeats` times, by round.
     """
-    for call in calls.values():
-        call()
-    rounds = [{name: clock(call, device)[0] for name, call in calls.items()} for _ in range(repeats)]
-    return {name: [taken[name] for taken in rounds] for name in calls}
+    taken: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(repeats):
+        for name, call in calls.items():
+            call()
+            taken[name].append(clock(call, device)[0])
+    return taken
 
 
 def product_gflops(square: Any, device: str | torch.device = "cpu") -> float:

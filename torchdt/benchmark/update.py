@@ -15,8 +15,10 @@ from torchdt.benchmark.clock import SIZE, clock_in_turn
 from torchdt.benchmark.oracle import ORACLES, load_oracle
 from torchdt.benchmark.problem import random_problem
 from torchdt.bp.schedule import Beliefs, update
+from torchdt.chunks import plan, run_chunks
 from torchdt.model.measurement import Measurement
 from torchdt.report.benchmark import Measured
+from torchdt.rows import take_sequences
 from torchdt.state import Noise, Objects
 
 ORACLE = ORACLES / "plain_bp.py"
@@ -47,8 +49,8 @@ def measure_update(
 ) -> list[Measured]:
     """Sequential BP update of a random step, of one sequence and of a batch, beside NumPy.
 
-    All slots are in use. torchdt runs in single precision, NumPy in double. Everything is timed in turn, and
-    ratios are medians over the rounds.
+    All slots are in use. Workers share out the batch as in tracking. torchdt runs in single precision,
+    NumPy in double. Everything is timed in turn, and ratios are medians over the rounds.
 
     Args:
         device: of torchdt.
@@ -61,10 +63,18 @@ def measure_update(
     sizes = (slots, particles, tones, sensors, snapshots, power_points, noise_points)
     one, many = (quieten(*random_problem(b, *sizes, torch.float32, device, 0)) for b in ((), (batch,)))
     run = torch.inference_mode()(partial(update, sweeps=sweeps))
+    workers = torch.get_num_threads()
+    chunks = plan(batch, 1, 1.0, workers)
+    rows_of = torch.arange(batch, device=device)
+    parts = {chunk.start: take_sequences(many, rows_of[chunk]) for chunk in chunks}
+
+    def some(chunk: slice, check: Callable[[], None]) -> Beliefs:
+        return run(*parts[chunk.start])
+
     square = torch.ones(SIZE, SIZE, device=device)
     calls: dict[str, Callable[[], Any]] = {
         "one": partial(run, *one),
-        "many": partial(run, *many),
+        "many": partial(run_chunks, some, chunks, workers),
         "product": partial(torch.matmul, square, square),
     }
     oracle = load_oracle(ORACLE)
@@ -78,9 +88,10 @@ def measure_update(
 
     size = f"{slots} objects, {particles} particles, {tones} tones, {sensors} sensors, {snapshots} snapshots"
     size = f"{size}, {power_points} power and {noise_points} noise points, {sweeps} sweeps"
+    shared = f"of each sequence; workers {workers}, as many as threads"
     rows: list[Row] = [
         ("torchdt", 1e3 * median(seconds["one"]), "ms/step", f"float32; {size}"),
-        (f"torchdt, batch of {batch}", 1e3 * median(seconds["many"]), "ms/step", "of each sequence"),
+        (f"torchdt, batch of {batch}", 1e3 * median(seconds["many"]), "ms/step", shared),
     ]
     visits = sweeps * slots * tones
     visit = count_operations(particles, sensors, many[3].factor.shape[-1])

@@ -107,7 +107,7 @@ def benchmark_update(settings: BenchmarkSettings) -> list[Measured]:
 
 def benchmark_step(settings: BenchmarkSettings) -> list[Measured]:
     """Part `step`: parts of a step, then whole steps of a batch."""
-    size, length = settings.problem.batch, settings.warm_up + 1
+    size, length = settings.problem.batch, max(settings.warm_up + 1, settings.batch_steps)
     tracker, recording = build_direct(settings, size, length, "warm_up")
     rows = measure_step(tracker, recording, settings.warm_up, settings.repeats)
     return rows + measure_batch(tracker, recording, settings.repeats)

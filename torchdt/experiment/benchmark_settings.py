@@ -68,7 +68,8 @@ class BenchmarkSettings:
         detector: more of them, for the detector of part `sbl`.
         problem: size of random problems.
         scaling: sizes of part `scaling`.
-        warm_up: steps before the one that is timed in part `step`; batches are of one step more.
+        warm_up: steps before the one that is timed in part `step`.
+        batch_steps: of the sequences that are tracked as a batch and alone in part `step`.
         run: overrides of the run of which part `memory` measures the memory.
         online: of the small problem that part `memory` tracks step by step.
         online_steps: number of those steps.
@@ -88,6 +89,7 @@ class BenchmarkSettings:
     problem: ProblemSettings = dataclasses.field(default_factory=ProblemSettings)
     scaling: ScalingSettings = dataclasses.field(default_factory=ScalingSettings)
     warm_up: int = 20
+    batch_steps: int = 60
     run: list[str] = dataclasses.field(default_factory=list)
     online: list[str] = dataclasses.field(default_factory=list)
     online_steps: int = 10_000
@@ -100,7 +102,7 @@ class BenchmarkSettings:
     def __post_init__(self) -> None:
         known = set(self.parts) <= set(PARTS) and len(set(self.parts)) == len(self.parts) > 0
         require(known, "parts", self.parts, f"some of {list(PARTS)}, each once")
-        for key in ("repeats", "warm_up", "steps", "particles"):
+        for key in ("repeats", "warm_up", "batch_steps", "steps", "particles"):
             require(getattr(self, key) >= 1, key, getattr(self, key), "a positive integer")
         require(self.online_steps >= 10, "online_steps", self.online_steps, "an integer from 10 up")
         counts = self.peer_particles

@@ -95,7 +95,7 @@ def build_problem(
         require(name in defaults, key, "a quantity that the field does not have", expected)
     varied = None
     if any(name in ENVIRONMENT for name in chosen):
-        start = {name: torch.as_tensor(defaults[name]) for name in ENVIRONMENT}
+        start = {name: torch.as_tensor(defaults[name], dtype=torch.float64) for name in ENVIRONMENT}
         with torch.no_grad():
             family = waveguide_family(settings, target, settings.torch_dtype)
             varied = environment_fields(family, {**start, **hyperparameters()})
@@ -105,7 +105,7 @@ def build_problem(
         if "mismatch_share" in chosen:
             field_of = share_fields(field_of, region.low)
         elif share is not None:
-            field_of = partial(_with_share, share_fields(field_of, region.low), torch.tensor(share))
+            field_of = partial(_with_share, share_fields(field_of, region.low), region.low.new_tensor(share))
         families.append(TrackerFamily(field_of, region, part.recording.step_s, config))
     return Problem(hyperparameters, families)
 

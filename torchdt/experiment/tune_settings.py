@@ -42,6 +42,9 @@ class TuneSettings(TrackSettings):
             for name, value in self.hyperparameters.items()
         }
         require(self.data.kind == "simulated", "data", self.data.kind, "train_paths and heldout_paths")
+        require(
+            self.variants is None, "variants", self.variants, "null: the search tries settings of its own"
+        )
         both = bool(self.train_paths) == bool(self.heldout_paths)
         require(both, "heldout_paths", self.heldout_paths, "files for both sets or for none")
         kind = "paths" if self.train_paths else "seeds"

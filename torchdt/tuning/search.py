@@ -40,7 +40,7 @@ def grid(start: Tensor, width: float, number: int) -> Proposals:
     yield start
     for offset in itertools.product(torch.linspace(-width, width, side).tolist(), repeat=dims):
         if any(offset):  # the start itself is known
-            yield start + torch.tensor(offset).to(start)
+            yield start + start.new_tensor(offset)
 
 
 def tpe(start: Tensor, width: float, seed: int) -> Proposals:
@@ -63,7 +63,7 @@ def tpe(start: Tensor, width: float, seed: int) -> Proposals:
     study.enqueue_trial(dict(zip(space, start.tolist(), strict=True)))
     while True:
         trial = study.ask(space)
-        value = yield torch.tensor([trial.params[name] for name in space]).to(start)
+        value = yield start.new_tensor([trial.params[name] for name in space])
         failed = optuna.trial.TrialState.FAIL
         study.tell(trial, value, state=failed if value is None else None)
 
