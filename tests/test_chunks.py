@@ -39,6 +39,11 @@ def test_chunks_are_equal_and_as_few_as_fit(batch_size, fit, workers):
     assert len(found) == max(busy, math.ceil(batch_size / room))
 
 
+def test_no_chunk_holds_more_than_it_may():
+    sizes = [chunk.stop - chunk.start for chunk in plan(20, 1, 1.0, 2, most=8)]
+    assert sizes == [6, 7, 7]
+
+
 @pytest.mark.parametrize(
     ("key", "value", "arguments"),
     [("memory_gb", 0, (0, 1)), ("memory_gb", math.nan, (math.nan, 1)), ("workers", 0, (1, 0))],

@@ -22,6 +22,9 @@ Result = TypeVar("Result")
 COPIES = 3
 """Responses of an object at the peak of a step, itself among them; measured with the default array."""
 
+MOST_ON_CPU = 8
+"""Sequences in a chunk on a CPU: of more, the tensors leave its cache, and each sequence takes longer."""
+
 
 def bytes_per_sequence(tracker: Tracker[Any], recording: Recording) -> int:
     """Estimate of the memory that tracking takes for each sequence, in bytes.
@@ -51,7 +54,9 @@ def bytes_per_sequence(tracker: Tracker[Any], recording: Recording) -> int:
     return (work + own + 2 * estimates) * region.low.dtype.itemsize + 3 * data
 
 
-def plan(batch_size: int, bytes_per_sequence: int, memory_gb: float, workers: int) -> list[slice]:
+def plan(
+    batch_size: int, bytes_per_sequence: int, memory_gb: float, workers: int, most: int | None = None
+) -> list[slice]:
     """Chunks of a batch, in order and of equal size up to one sequence.
 
     They are as few as fit, and no fewer than the workers where there are as many sequences. A chunk holds
@@ -62,6 +67,7 @@ def plan(batch_size: int, bytes_per_sequence: int, memory_gb: float, workers: in
         bytes_per_sequence: what one of them takes.
         memory_gb: what all workers may take together, 1e9 bytes.
         workers: chunks worked on at the same time.
+        most: sequences in a chunk, whatever the memory; None sets no limit.
 
     Raises:
         InputError: where `memory_gb` or `workers` is not positive.
@@ -69,7 +75,7 @@ def plan(batch_size: int, bytes_per_sequence: int, memory_gb: float, workers: in
     require(memory_gb > 0, "memory_gb", memory_gb, "a positive number")
     require(workers >= 1, "workers", workers, "a positive integer")
     busy = min(workers, batch_size)
-    fit = max(1, int(memory_gb * 1e9 / (busy * bytes_per_sequence)))
+    fit = max(1, min(int(memory_gb * 1e9 / (busy * bytes_per_sequence)), most or batch_size))
     number = max(math.ceil(batch_size / fit), busy)
     edges = [batch_size * i // number for i in range(number + 1)]
     return [slice(start, end) for start, end in itertools.pairwise(edges)]

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Generator
 
-from torchdt.chunks import bytes_per_sequence, free_memory_gb, plan, run_chunks
+from torchdt.chunks import MOST_ON_CPU, bytes_per_sequence, free_memory_gb, plan, run_chunks
 from torchdt.errors import require
 from torchdt.history import TrackHistory
 from torchdt.protocol import Tracker
@@ -48,9 +48,11 @@ def track(
     """
     number = recording.batch_size
     require(len(seeds) == number, "seeds", len(seeds), f"{number}, one for each sequence")
+    device = tracker.region.low.device
     if memory_gb is None:
-        memory_gb = free_memory_gb(tracker.region.low.device) / 2
-    chunks = plan(number, bytes_per_sequence(tracker, recording), memory_gb, workers)
+        memory_gb = free_memory_gb(device) / 2
+    most = MOST_ON_CPU if device.type == "cpu" else None
+    chunks = plan(number, bytes_per_sequence(tracker, recording), memory_gb, workers, most)
 
     def track_some(sequences: slice, check: Callable[[], None]) -> TrackHistory:
         def report(step: int, estimate: TrackHistory) -> None:

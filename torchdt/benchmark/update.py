@@ -15,7 +15,7 @@ from torchdt.benchmark.clock import SIZE, clock_in_turn
 from torchdt.benchmark.oracle import ORACLES, load_oracle
 from torchdt.benchmark.problem import random_problem
 from torchdt.bp.schedule import Beliefs, update
-from torchdt.chunks import plan, run_chunks
+from torchdt.chunks import MOST_ON_CPU, plan, run_chunks
 from torchdt.model.measurement import Measurement
 from torchdt.report.benchmark import Measured
 from torchdt.rows import take_sequences
@@ -64,7 +64,7 @@ def measure_update(
     one, many = (quieten(*random_problem(b, *sizes, torch.float32, device, 0)) for b in ((), (batch,)))
     run = torch.inference_mode()(partial(update, sweeps=sweeps))
     workers = torch.get_num_threads()
-    chunks = plan(batch, 1, 1.0, workers)
+    chunks = plan(batch, 1, 1.0, workers, MOST_ON_CPU)
     rows_of = torch.arange(batch, device=device)
     parts = {chunk.start: take_sequences(many, rows_of[chunk]) for chunk in chunks}
 
