@@ -120,6 +120,19 @@ def test_a_batch_equals_single_runs(mixed, dtype):
         assert_same(TrackHistory(*(t[b : b + 1] for t in together)), alone, **tolerance)
 
 
+def test_births_in_some_sequences_of_a_batch_leave_each_as_it_is_alone():
+    """In two of three sequences a strong source appears beside a known one, which is then placed again."""
+    sequences, seeds = [simulate(seed, *ONE)[0] for seed in (11, 12, 13)], [5, 6, 7]
+    for b in (0, 2):
+        sequences[b][6:] += simulate(20 + b, ((0.0, ONE[0][0][1] + 6.0),))[0][6:]
+    together = run(torch.stack(sequences), seeds)
+    assert together.declared.sum(-1)[:, 5].tolist() == [1, 1, 1]
+    assert together.declared.sum(-1)[:, -1].tolist() == [2, 1, 2]
+    for b, seed in enumerate(seeds):
+        alone = run(sequences[b][None], [seed])
+        assert_same(TrackHistory(*(t[b : b + 1] for t in together)), alone, rtol=1e-6, atol=1e-6)
+
+
 def test_a_batch_of_two_dimensions(mixed):
     flat = run(mixed, [1, 2, 3, 4])
     measurement = from_snapshots(mixed.reshape(2, 2, *mixed.shape[1:]))

@@ -6,7 +6,7 @@ from oracles.arrays import complex_normal
 
 from torchdt.bp.rank_one import whiten
 from torchdt.detect.dictionary import Dictionary, likelihood_surface
-from torchdt.detect.strongest import strongest_cell
+from torchdt.detect.strongest import BULK, strongest_cell
 from torchdt.model.measurement import from_snapshots
 
 TONES, CELLS, SENSORS = 3, 400, 12
@@ -51,6 +51,19 @@ def test_is_the_largest_value_of_the_surface(rng, objects, power, dtype):
         score, cell = anywhere(dictionary, whitener)
         torch.testing.assert_close(score, surface.amax(-1), rtol=1e-4, atol=1e-4)
         torch.testing.assert_close(surface.gather(-1, cell[..., None])[..., 0], score, rtol=1e-4, atol=1e-4)
+
+
+def test_the_most_promising_cell_need_not_be_the_strongest(rng):
+    """Where noise differs from sensor to sensor, bounds are not tight."""
+    dictionary = make_dictionary(rng)
+    level = 1 + 0.8 * (BULK - 1) * torch.rand(50, TONES, SENSORS, generator=rng, dtype=torch.float64)
+    background = torch.diag_embed(level.to(torch.complex128))
+    data = (level.sqrt()[..., None] * complex_normal(rng, 50, TONES, SENSORS, 3)).mT
+    whitener = whiten(from_snapshots(data), background)
+    score, cell = anywhere(dictionary, whitener)
+    expected = likelihood_surface(dictionary, whitener).max(-1)
+    assert torch.equal(cell, expected.indices)
+    torch.testing.assert_close(score, expected.values)
 
 
 @pytest.mark.parametrize("dtype", [torch.complex64, torch.complex128])

@@ -29,6 +29,7 @@ SMALL = (
     "scaling={slots: [1, 2, 3], particles: [9, 18, 27], tones: [1, 2, 3], sensors: [4, 5, 6]}",
     "scaling={batch: [1, 2, 3], steps: [1, 2, 4]}",
     "warm_up=2",
+    "batch_steps=3",
     f'run=["logging=quiet",{DATA},{TRACKER}]',
     f"online=[{DATA},{TRACKER}]",
     "online_steps=10",
@@ -202,6 +203,7 @@ def test_sizes_out_of_range(key, sizes):
     [
         ("sbl", "steps=6", "key 'steps': found 6, expected at most the 5"),
         ("sbl", 'detector=["tracker=mp_bp"]', "key 'detector': found"),
+        ("step", "batch_steps=6", "key 'batch_steps': found 6 steps, expected at most the 5"),
         ("step", "warm_up=5", "key 'warm_up': found 6 steps, expected at most the 5"),
         ("step", 'direct=["tracker=mp_bp"]', "key 'direct': found"),
         ("scaling", "scaling.steps=[1,2,6]", "key 'scaling.steps': found 6 steps, expected at most the 5"),

@@ -108,7 +108,8 @@ def benchmark_update(settings: BenchmarkSettings) -> list[Measured]:
 def benchmark_step(settings: BenchmarkSettings) -> list[Measured]:
     """Part `step`: parts of a step, then whole steps of a batch."""
     size, length = settings.problem.batch, max(settings.warm_up + 1, settings.batch_steps)
-    tracker, recording = build_direct(settings, size, length, "warm_up")
+    key = "batch_steps" if length == settings.batch_steps else "warm_up"
+    tracker, recording = build_direct(settings, size, length, key)
     rows = measure_step(tracker, recording, settings.warm_up, settings.repeats)
     return rows + measure_batch(tracker, recording, settings.repeats)
 
