@@ -63,7 +63,8 @@ class DirectTracker(Tracker[TrackerState]):
 
     Args:
         field: array response.
-        region: region of interest; its dtype and device are those of the tracker.
+        region: region of interest, less where the field says that no object can be; its dtype and device are
+            those of the tracker.
         step_s: time step in seconds.
         config: numbers of the model and the filter.
         parameters: numbers of the model as tensors; None takes those of `config` and `region`.
@@ -77,7 +78,7 @@ class DirectTracker(Tracker[TrackerState]):
         config: TrackerConfig,
         parameters: Parameters | None = None,
     ):
-        self.field, self.region, self.step_s, self.config = field, region, step_s, config
+        self.field, self.region, self.step_s, self.config = field, region.within(field), step_s, config
         self.parameters = default_parameters(config, region) if parameters is None else parameters
         self._idle = idle_particles(region, config.particles)
 

@@ -44,7 +44,8 @@ class TwoStepTracker(Tracker[PointState]):
 
     Args:
         field: array response.
-        region: region of interest; its dtype and device are those of the tracker.
+        region: region of interest, less where the field says that no object can be; its dtype and device are
+            those of the tracker.
         step_s: time step in seconds.
         config: numbers of the detector and the tracker.
 
@@ -53,6 +54,7 @@ class TwoStepTracker(Tracker[PointState]):
     """
 
     def __init__(self, field: Field, region: Region, step_s: float, config: TwoStepConfig):
+        region = region.within(field)
         self.field, self.region, self.config = field, region, config
         likelihood = GaussianPosition(region, config.spread_in(region))
         self.tracker = PointTracker(region, step_s, config, likelihood)

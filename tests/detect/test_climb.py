@@ -80,3 +80,15 @@ def test_the_score_does_not_fall_and_a_search_does_not_depend_on_the_others_of_a
     assert (after > before).all()
     for b in range(6):
         assert torch.equal(climb(score_of(b), centre[b], REGION), together[b])
+
+
+def test_what_is_outside_the_region_is_forbidden():
+    """The peak is beyond a slanted border: the best allowed point is on this side, nearer than the centre."""
+    peak, centre = torch.tensor([56.0, 0.3], dtype=F64), torch.tensor([52.5, 0.25], dtype=F64)
+    region = Region(REGION.coordinates, F64, inside=lambda x: x[..., 0] / 5 + x[..., 1] / 0.1 <= 13.6)
+    found = climb(hill(peak), centre, region)
+    assert region.contains(found)
+    assert (hill(peak)(found[None]) > hill(peak)(centre[None])).all()
+    assert not region.contains(climb(hill(peak), centre, REGION))
+    outside = torch.tensor([70.0, 0.5], dtype=F64)
+    assert torch.equal(climb(hill(peak), outside, region), outside)

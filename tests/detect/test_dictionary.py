@@ -6,6 +6,7 @@ from oracles.line_array import make_field, make_region
 from torchdt.bp.rank_one import peak_log_likelihood_ratio, statistics, whiten
 from torchdt.detect.dictionary import bartlett_surface, build_dictionary, likelihood_surface
 from torchdt.model.measurement import from_snapshots
+from torchdt.model.region import Coordinate, Region
 
 FIELD, REGION = make_field(), make_region()
 DICTIONARY = build_dictionary(FIELD, REGION)
@@ -26,12 +27,31 @@ def test_dictionary_holds_the_field_at_the_cell_centres():
 
 def test_dictionary_of_many_cells_is_whole():
     """More cells than are evaluated at once."""
-    from torchdt.model.region import Coordinate, Region
-
     region = Region([Coordinate("bearing", "deg", -70, 70, 0.02, -1, 1, 1.0)], torch.float64)
     dictionary = build_dictionary(FIELD, region)
     assert dictionary.response.shape == (2, 7000, 8)
     torch.testing.assert_close(dictionary.response[:, 4097], FIELD(region.cell_centres()[4097]))
+
+
+def test_nothing_is_found_where_no_object_can_be():
+    """Cells outside the region of a bounded field have no response: no power, no likelihood."""
+    region = Region(REGION.coordinates, torch.float64, inside=lambda state: state[..., 0] < 0)
+    dictionary = build_dictionary(FIELD, region)
+    left = region.is_birth_cell
+    assert int(left.sum()) == 35
+    assert torch.equal(dictionary.response[:, left], DICTIONARY.response[:, left])
+    assert not dictionary.response[:, ~left].any()
+    assert not dictionary.energy[:, ~left].any()
+    measurement = from_snapshots(snapshots(30.0, noise=0.05))
+    background = 0.05 * torch.eye(8, dtype=torch.complex128).expand(3, 2, 8, 8)
+    surfaces = (
+        bartlett_surface(dictionary, measurement),
+        likelihood_surface(dictionary, whiten(measurement, background)),
+    )
+    for surface in surfaces:
+        assert surface.isfinite().all()
+        assert not surface[:, ~left].any()
+        assert (surface[:, left].amax(-1) > 0).all()
 
 
 def test_bartlett_equals_the_loop():

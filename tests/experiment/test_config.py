@@ -28,7 +28,7 @@ def test_options_are_found():
 
 @pytest.mark.parametrize(("group", "option"), OPTIONS)
 def test_every_option_composes(settings, group, option):
-    needed = ("data.path=recording.npz",) if option == "npz" else ()
+    needed = ("data.path=recording",) if group == "data" else ()
     changed = settings(f"{group}={option}", *needed, small=False)
     assert changed is not None
     with initialize_config_module("torchdt.conf", version_base="1.3"):

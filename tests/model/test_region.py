@@ -1,6 +1,8 @@
 import pytest
 import torch
+from oracles.line_array import make_field
 
+from torchdt.errors import InputError
 from torchdt.model.region import Coordinate, Region
 
 RANGE = Coordinate("range", "m", 1000.0, 1100.0, 25.0, -4.0, 4.0, 1e-2)
@@ -38,6 +40,55 @@ def test_contains_reads_positions_only():
 
 def test_column_names():
     assert Region([RANGE, DEPTH]).column_names == ("range_m", "depth_m", "range_rate_mps", "depth_rate_mps")
+
+
+class Disc:
+    """A field whose objects are in the unit circle."""
+
+    num_tones, num_sensors, num_coordinates = 1, 1, 2
+
+    def __call__(self, state):
+        return torch.ones(*state.shape[:-1], 1, 1, dtype=torch.complex128)
+
+    def inside(self, state):
+        return state[..., :2].square().sum(-1) <= 1
+
+
+def square(low, high, cell):
+    edges = [Coordinate(name, "", low, high, cell, -1, 1, 1.0) for name in "en"]
+    return Region(edges, torch.float64)
+
+
+def test_region_within_a_bounded_field():
+    box = square(-1.0, 1.0, 0.1)
+    region = box.within(Disc())
+    states = torch.tensor([[0.6, 0.7, 9.0, 9.0], [0.8, 0.7, 0.0, 0.0], [-0.1, 1.05, 0.0, 0.0]])
+    assert region.contains(states).tolist() == [True, False, False]
+    assert box.contains(states).tolist() == [True, True, False]
+    assert (region.grid_shape, region.low.dtype) == (box.grid_shape, torch.float64)
+    assert torch.equal(region.cell_centres(), box.cell_centres())
+    assert torch.equal(region.within(Disc()).is_birth_cell, region.is_birth_cell)
+
+
+@pytest.mark.parametrize(("high", "number"), [(1.25, 7), (1.25, 20), (1.25, 41), (7 * 0.1998, 7)])
+def test_birth_cells_reach_into_the_circle(high, number):
+    """Those whose nearest point to the origin is in it: in the last grid the middle of a side, at 0.999."""
+    region = square(-high, high, 2 * high / number).within(Disc())
+    nearest = (region.cell_centres().abs() - region.cell / 2).clamp(min=0)
+    expected = nearest.square().sum(-1) <= 1
+    assert torch.equal(region.is_birth_cell, expected)
+    assert region.num_cells == int(expected.sum()) < number**2
+
+
+def test_without_a_bound_all_cells_are_birth_cells():
+    region = Region([RANGE, DEPTH])
+    assert region.is_birth_cell.tolist() == [True] * 12
+    assert region.within(make_field()) is region
+
+
+def test_region_without_room_is_refused():
+    with pytest.raises(InputError, match=r"'scenario.coordinates': found 4 cells, none of them"):
+        square(0.9, 1.1, 0.1).within(Disc())
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,10 @@ from oracles.line_array import make_field, make_region
 from torchdt.bp.messages import state_message
 from torchdt.bp.rank_one import whiten
 from torchdt.detect.dictionary import build_dictionary
+from torchdt.field.plane_wave import PlaneWaveField
 from torchdt.model.gamma_chain import uniform_prior
 from torchdt.model.measurement import Measurement, from_snapshots, mask_covariance
+from torchdt.model.region import Coordinate, Region
 from torchdt.particles.weights import mean_and_covariance, normalise
 from torchdt.proposal.moved import Draws, respond
 from torchdt.proposal.newborn import propose_newborn, search
@@ -161,3 +163,44 @@ def test_particles_sit_where_the_source_is():
         nearest = min((-31.3, 14.6), key=lambda b: abs(b - mean[0].item()))
         assert abs(nearest - mean[0].item()) < 5 * covariance[0, 0].sqrt() + 1e-6
         assert covariance[0, 0].sqrt() < 0.5
+
+
+@pytest.mark.parametrize("eastward", [0.97, 0.999])
+@pytest.mark.parametrize("adapted", [True, False])
+def test_nothing_is_born_outside_a_bounded_region(eastward, adapted):
+    """A source at the horizon of a planar array, in a cell that the unit circle cuts."""
+    places = [[0.4 * i, 0.4 * j, 0.0] for i in range(3) for j in range(3)]
+    field = PlaneWaveField([300.0, 400.0], places, 343.0, "direction_cosines", dtype=F64)
+    edges = [Coordinate(name, "", -1.1, 1.1, 0.2, -1, 1, 1.0) for name in ("east", "north")]
+    region = Region(edges, F64).within(field)
+    rng, seeds = torch.Generator().manual_seed(1), [1, 2, 3]
+    a = field(torch.tensor([eastward, 0.02], dtype=F64))[:, None]
+    z = [complex_normal(rng, 2, 6, 1) * a + ETA**0.5 * complex_normal(rng, 2, 6, 9) for _ in seeds]
+    data, streams = stack([from_snapshots(one) for one in z]), RandomStreams.from_seeds(seeds, (3,), F64)
+    signal, room = torch.zeros(3, 2, 9, 9, dtype=torch.complex128), torch.full((3,), 1)
+    dictionary, threshold = build_dictionary(field, region), torch.tensor(THRESHOLD, dtype=F64)
+    rounds = streams.normal(1, 4, 64, 2)
+    picks, noise = search(
+        field, region, dictionary, data, signal, known_noise(3), room, threshold, rounds, refine=adapted
+    )
+    assert picks.active.all()
+    draws = Draws(streams.normal(1, 4, 64, 2), streams.normal(1, 300, 4))
+    limit = torch.full((3, 2), 50.0, dtype=F64)
+    new, response = propose_newborn(
+        field, region, data, signal, picks, noise, limit, 20, ODDS, draws, adapted=adapted
+    )
+    outside = ~region.contains(new.state)
+    assert outside.any()  # particles there are, without weight
+    assert new.log_weight[outside].isneginf().all()
+    weight, _ = normalise(new.log_weight)
+    share = (weight.exp() * ~outside).sum(-1)
+    torch.testing.assert_close(share, torch.ones_like(share))
+    assert response.isfinite().all()
+    if adapted:  # to what is inside: half of the cell is not, and at the border more of the likelihood
+        assert (outside.double().mean(-1) < 0.4).all()
+        assert region.contains(picks.position).all()
+        whitener = whiten(data, mask_covariance(signal, noise.mean, data.present))
+        message = state_message(whitener, response[:, 0], new.power[:, 0], new.log_power_weight[:, 0])
+        log_weight, _ = normalise(new.log_weight[:, 0] + message)
+        mean, _ = mean_and_covariance(new.state[:, 0], log_weight)
+        assert (mean[:, :2] - torch.tensor([eastward, 0.02], dtype=F64)).abs().max() < 0.1

@@ -103,6 +103,18 @@ def test_sources_start_uniformly_in_the_region():
     assert off_diagonal.abs().max() < 5.6 / len(entries) ** 0.5
 
 
+def test_nothing_is_where_no_object_can_be():
+    """Births in half of a box of two cells: as many as in a whole box, all in that half."""
+    coordinate = Coordinate("x", "m", -1.0, 1.0, 1.0, -1e-3, 1e-3, 1e-9)
+    half = Region([coordinate], torch.float64, inside=lambda state: state[..., 0] > 0)
+    population = draw(PopulationSettings(birth_mean=0.5, survival=0.9), region=half)
+    present = there(population)
+    assert (population.state[present][:, 0] > 0).all()
+    within(
+        int((present.int().diff(dim=0, prepend=torch.zeros_like(present[:1]).int()) == 1).sum()), poisson(200)
+    )
+
+
 def test_lifetimes_are_geometric():
     """Of the sources born early enough, a share p_s^m is there m steps after birth."""
     survival, num_steps = 0.96, 400

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from torchdt.model.kinematics import drop_outside
 from torchdt.model.region import Region
 from torchdt.rows import take
 
@@ -22,11 +23,12 @@ def climb(score: Callable[[Tensor], Tensor], centre: Tensor, region: Region) -> 
 
     Args:
         score: maps positions `(*batch, S, d)` to `(*batch, S)`; minus infinity forbids a position.
-        centre: `(*batch, d)` inside the region.
+        centre: `(*batch, d)` in the box of the region.
         region: limits and cells.
 
     Returns:
-        `(*batch, d)`, with a score no lower than the centre's.
+        `(*batch, d)`, with a score no lower than the centre's. A centre outside the region stays where it is
+        if nothing around it is inside.
     """
     low = torch.maximum(centre - region.cell, region.low)[..., None, :]
     high = torch.minimum(centre + region.cell, region.high)[..., None, :]
@@ -35,5 +37,5 @@ def climb(score: Callable[[Tensor], Tensor], centre: Tensor, region: Region) -> 
     offset = offset[offset.square().sum(-1).argsort(stable=True)] * region.cell
     for level in range(1, LEVELS + 1):
         points = torch.clamp(centre[..., None, :] + 0.5**level * offset, low, high)
-        centre = take(points, score(points).argmax(-1))
+        centre = take(points, drop_outside(points, score(points), region).argmax(-1))
     return centre

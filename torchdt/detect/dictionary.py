@@ -13,11 +13,12 @@ from torchdt.model.region import Region
 
 
 class Dictionary(NamedTuple):
-    """Responses at the centres of all birth cells.
+    """Responses at the centres of all cells of the region's grid.
 
     Attributes:
         points: `(C, d)` positions.
-        response: `(I, C, M)` complex, or `(B, I, C, M)` with a field per sequence.
+        response: `(I, C, M)` complex, or `(B, I, C, M)` with a field per sequence; zero, so that nothing is
+            found there, for cells in which no object can be born.
         energy: `|a|^2`, `(I, C)` or `(B, I, C)`.
     """
 
@@ -27,12 +28,13 @@ class Dictionary(NamedTuple):
 
 
 def build_dictionary(field: Field, region: Region) -> Dictionary:
-    """Evaluate a field on the region's grid of birth cells."""
+    """Evaluate a field on the region's grid of cells."""
     points = region.cell_centres()
     if isinstance(field, StackedField):
         response = torch.stack([_responses(f, points) for f in field.fields])
     else:
         response = _responses(field, points)
+    response.masked_fill_(~region.is_birth_cell[:, None], 0.0)
     return Dictionary(points, response, torch.linalg.vector_norm(response, dim=-1).square())
 
 

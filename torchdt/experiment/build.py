@@ -12,7 +12,9 @@ from torch.nn.functional import pad
 from torchdt.errors import InputError, require
 from torchdt.experiment.environment import calibrated_field
 from torchdt.experiment.fields import build_field
-from torchdt.experiment.settings import TrackSettings
+from torchdt.experiment.settings import SignalSettings, TartSettings, TrackSettings
+from torchdt.experiment.signals import read_signals
+from torchdt.experiment.tart_recording import read_sky
 from torchdt.field.base import Field
 from torchdt.field.build import EnvironmentDraw
 from torchdt.field.mismatch import IncoherentField, MismatchedField
@@ -38,18 +40,23 @@ def build_recording(settings: TrackSettings) -> Recording:
     Raises:
         InputError: where a file or the scenario does not make sense.
     """
-    if settings.data.kind == "npz":
+    if settings.data.kind == "simulated":
+        return simulate(settings)
+    if isinstance(settings.data, SignalSettings):
+        recording = read_signals(settings, settings.data)
+    elif isinstance(settings.data, TartSettings):
+        recording = read_sky(settings, settings.data)
+    else:
         recording = read_recordings(settings.data.paths)
-        summary = recording.missing_summary()
-        if summary.num_missing:
-            log.warning(
-                "%d of %d values are missing (NaN) and left out; dead channels of each sequence: %s",
-                summary.num_missing,
-                summary.num_entries,
-                [dead.nonzero().flatten().tolist() for dead in summary.dead_channels],
-            )
-        return recording
-    return simulate(settings)
+    summary = recording.missing_summary()
+    if summary.num_missing:
+        log.warning(
+            "%d of %d values are missing (NaN) and left out; dead channels of each sequence: %s",
+            summary.num_missing,
+            summary.num_entries,
+            [dead.nonzero().flatten().tolist() for dead in summary.dead_channels],
+        )
+    return recording
 
 
 def read_recordings(paths: Sequence[str]) -> Recording:
@@ -99,7 +106,9 @@ def simulate(settings: TrackSettings) -> Recording:
         if scenario.population is None:
             z, position = simulate_snapshots(field, scenario, stream)
         else:
-            z, position = generate_snapshots(field, region, scenario, scenario.population, stream)
+            z, position = generate_snapshots(
+                field, region.within(field), scenario, scenario.population, stream
+            )
         snapshots.append(z)
         truth.append(position)
     most = max(position.shape[1] for position in truth)

@@ -1,12 +1,14 @@
-"""Array responses: the protocol, plane waves on a line array, normal modes in a waveguide."""
+"""Array responses: the protocol, plane and spherical waves on any array, normal modes in a waveguide."""
 
-from torchdt.field.base import Field
+from torchdt.field.base import BoundedField, Field
 from torchdt.field.environment import Environment, HalfSpace, Layer, combine_eofs
 from torchdt.field.modes import ModeSolverError, ModeTable, solve_modes
-from torchdt.field.plane_wave import LineArrayField
+from torchdt.field.plane_wave import LineArrayField, PlaneWaveField
+from torchdt.field.spherical_wave import SphericalWaveField
 from torchdt.field.waveguide import NormalModeField
 
 __all__ = [
+    "BoundedField",
     "Environment",
     "Field",
     "HalfSpace",
@@ -15,6 +17,8 @@ __all__ = [
     "ModeSolverError",
     "ModeTable",
     "NormalModeField",
+    "PlaneWaveField",
+    "SphericalWaveField",
     "combine_eofs",
     "solve_modes",
 ]

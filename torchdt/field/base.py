@@ -33,3 +33,12 @@ class Field(Protocol):
             `(*batch, I, M)` complex, in the complex type that belongs to the state's real type.
         """
         ...
+
+
+@runtime_checkable
+class BoundedField(Field, Protocol):
+    """A field that knows where objects cannot be, beside the limits of each coordinate."""
+
+    def inside(self, state: Tensor) -> Tensor:
+        """Whether there can be an object, `(*batch, D)` to `(*batch,)` bool."""
+        ...

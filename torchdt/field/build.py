@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 import torch
 
 from torchdt.errors import InputError, require
+from torchdt.field.array import warn_of_aliasing
 from torchdt.field.environment import Environment, HalfSpace, Layer, combine_eofs
-from torchdt.field.plane_wave import LineArrayField
+from torchdt.field.plane_wave import LineArrayField, PlaneWaveField
+from torchdt.field.spherical_wave import SphericalWaveField
 from torchdt.field.waveguide import NormalModeField
 
 
@@ -127,7 +129,7 @@ def line_array(
     dtype: torch.dtype | None = None,
     device: torch.device | str | None = None,
 ) -> LineArrayField:
-    """Plane waves on a line array.
+    """Plane waves on a line array. Sensors too far apart are warned of in the log.
 
     Args:
         freqs: Hz.
@@ -145,6 +147,86 @@ def line_array(
         )
     along = along[:, 0] if along.ndim == 2 else along
     try:
-        return LineArrayField(freqs, along.tolist(), wave_speed, dtype=dtype, device=device)
+        field = LineArrayField(freqs, along.tolist(), wave_speed, dtype=dtype, device=device)
     except ValueError as error:
         raise InputError(f"key 'field': {error}") from error
+    warn_of_aliasing(along[:, None], freqs, wave_speed)
+    return field
+
+
+def plane_wave(
+    *,
+    freqs: Sequence[float],
+    sensor_positions: Sequence[Sequence[float]],
+    wave_speed: float,
+    coordinates: str,
+    normalize: bool = True,
+    sign: int = 1,
+    dtype: torch.dtype | None = None,
+    device: torch.device | str | None = None,
+) -> PlaneWaveField:
+    """Plane waves on an array anywhere in space. Sensors too far apart are warned of in the log.
+
+    Args:
+        freqs: Hz.
+        sensor_positions: `(M, 3)` east, north, up, m.
+        wave_speed: m/s.
+        coordinates: `direction_cosines`, `azimuth_elevation` or `bearing`, see `PlaneWaveField`.
+        normalize: give each tone's response unit norm.
+        sign: +1 or -1, of the phase at the sensor nearest to the object.
+        dtype, device: of the field.
+
+    Raises:
+        InputError: naming the key at fault.
+    """
+    field = PlaneWaveField(
+        freqs,
+        sensor_positions,
+        wave_speed,
+        coordinates,
+        normalize=normalize,
+        sign=sign,
+        device=device,
+        dtype=dtype,
+    )
+    warn_of_aliasing(torch.as_tensor(sensor_positions, dtype=torch.float64, device="cpu"), freqs, wave_speed)
+    return field
+
+
+def spherical_wave(
+    *,
+    freqs: Sequence[float],
+    sensor_positions: Sequence[Sequence[float]],
+    wave_speed: float,
+    num_coordinates: int = 2,
+    plane_z: float = 0.0,
+    normalize: bool = True,
+    dtype: torch.dtype | None = None,
+    device: torch.device | str | None = None,
+) -> SphericalWaveField:
+    """Spherical waves of objects near an array. Sensors too far apart are warned of in the log.
+
+    Args:
+        freqs: Hz.
+        sensor_positions: `(M, 3)` m.
+        wave_speed: m/s.
+        num_coordinates: 2 for (x, y) in a horizontal plane, 3 for (x, y, z).
+        plane_z: height of that plane, m.
+        normalize: give each tone's response unit norm.
+        dtype, device: of the field.
+
+    Raises:
+        InputError: naming the key at fault.
+    """
+    field = SphericalWaveField(
+        freqs,
+        sensor_positions,
+        wave_speed,
+        num_coordinates=num_coordinates,
+        plane_z=plane_z,
+        normalize=normalize,
+        device=device,
+        dtype=dtype,
+    )
+    warn_of_aliasing(torch.as_tensor(sensor_positions, dtype=torch.float64, device="cpu"), freqs, wave_speed)
+    return field

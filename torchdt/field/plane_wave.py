@@ -1,10 +1,84 @@
-"""Plane wave on a line array."""
+"""Plane waves: on an array anywhere in space, and on a line array."""
 
 import math
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
+
+from torchdt.errors import require
+from torchdt.field.array import SensorArray
+from torchdt.field.directions import DIRECTIONS
+
+
+class PlaneWaveField(SensorArray):
+    """Response of an array to a plane wave, `a_m = exp(sign i 2 pi f / c p_m . u) / sqrt(M)`.
+
+    `p_m` is the place of a sensor and `u` the unit vector towards the object, both east, north, up; see Van
+    Trees, Optimum Array Processing, 2002, ch. 2.2. The state is one of these, then its rates:
+
+    - `direction_cosines`: the parts of u to the east and to the north, for objects above the horizon. States
+      outside the unit circle count as the nearest direction on the horizon, so that values and gradients stay
+      finite; `inside` says which they are, and a tracker gives them no weight;
+    - `azimuth_elevation`: degrees clockwise from north, and degrees above the horizon;
+    - `bearing`: degrees clockwise from north, on the horizon.
+
+    Angles do not wrap: a region is an interval of them.
+
+    Args:
+        freqs: `(I,)` tones, Hz.
+        sensor_positions: `(M, 3)` east, north, up, m.
+        wave_speed: m/s.
+        coordinates: what the state is.
+        normalize: give the response unit norm; else each sensor has modulus 1.
+        sign: +1 for spectra whose time factor is `exp(i omega t)`, as of an FFT: the sensor nearest to the
+            object is ahead in phase. -1 for their conjugates.
+        device: of the buffers, and so of the states.
+        dtype: real type of the states.
+
+    Raises:
+        InputError: naming the key of the field at fault; also where the sensors span too few dimensions to
+            tell the states apart.
+    """
+
+    def __init__(
+        self,
+        freqs: Sequence[float],
+        sensor_positions: Sequence[Sequence[float]],
+        wave_speed: float,
+        coordinates: str,
+        *,
+        normalize: bool = True,
+        sign: int = 1,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        require(coordinates in DIRECTIONS, "field.coordinates", coordinates, f"one of {list(DIRECTIONS)}")
+        require(sign in (1, -1), "field.sign", sign, "1 or -1")
+        self.directions = DIRECTIONS[coordinates]
+        self.num_coordinates = self.directions.num_coordinates
+        super().__init__(freqs, sensor_positions, wave_speed, self.num_coordinates, device, dtype)
+        self.normalize, self.sign = normalize, sign
+
+    def forward(self, state: Tensor) -> Tensor:
+        """Evaluate the response.
+
+        Args:
+            state: `(*batch, D)` real, `D >= num_coordinates`.
+
+        Returns:
+            `(*batch, I, M)` complex.
+
+        Raises:
+            ValueError: if `state` has too few entries or another type than the field.
+        """
+        towards = self.directions.vector(self.position(state))
+        response = self.waves(self.sign * towards @ self._places.T)
+        return response / math.sqrt(self.num_sensors) if self.normalize else response
+
+    def inside(self, state: Tensor) -> Tensor:
+        """Which states `(*batch, D)` are directions, `(*batch,)` bool."""
+        return self.directions.inside(state[..., : self.num_coordinates])
 
 
 class LineArrayField(nn.Module):

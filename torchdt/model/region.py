@@ -1,13 +1,15 @@
 """The region of interest: coordinates, their limits, and the cells in which objects are born."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from torchdt.errors import require
+from torchdt.field.base import BoundedField, Field
 
 
 @dataclass(frozen=True)
@@ -58,11 +60,16 @@ class Coordinate:
 
 
 class Region:
-    """Support of the object states: a box in position, all rates.
+    """Support of the object states: a box in position, or what a field leaves of it; all rates.
 
     Args:
         coordinates: the d position coordinates, slowest-varying grid axis first.
         dtype, device: of the tensors handed out.
+        inside: where in the box there can be objects, `(*batch, D)` states to `(*batch,)` bool; None is
+            everywhere.
+
+    Raises:
+        InputError: where there can be objects in none of the birth cells.
     """
 
     def __init__(
@@ -70,8 +77,9 @@ class Region:
         coordinates: Sequence[Coordinate],
         dtype: torch.dtype = torch.float32,
         device: torch.device | str = "cpu",
+        inside: Callable[[Tensor], Tensor] | None = None,
     ):
-        self.coordinates = tuple(coordinates)
+        self.coordinates, self._inside = tuple(coordinates), inside
 
         def vector(values: Sequence[float]) -> Tensor:
             return torch.tensor(values, dtype=dtype, device=device)
@@ -83,19 +91,41 @@ class Region:
         self.driving_variance = vector([c.driving_variance for c in self.coordinates])
         self.grid_shape = tuple(c.num_cells for c in self.coordinates)
         self.cell = (self.high - self.low) / vector([float(n) for n in self.grid_shape])
+        found = f"{math.prod(self.grid_shape)} cells, none of them where an object can be"
+        require(self.num_cells > 0, "scenario.coordinates", found, "a region with room for objects")
+
+    def within(self, field: Field) -> "Region":
+        """What a field leaves of this region: the region itself unless it is a `BoundedField`."""
+        if not isinstance(field, BoundedField):
+            return self
+        return Region(self.coordinates, self.low.dtype, self.low.device, field.inside)
 
     @property
     def num_coordinates(self) -> int:
         """Number d of position coordinates; a state has 2 d entries."""
         return len(self.coordinates)
 
-    @property
+    @cached_property
     def num_cells(self) -> int:
-        """Number Q of birth cells in the region."""
-        return math.prod(self.grid_shape)
+        """Number Q of birth cells: those of the grid that reach into the region."""
+        return math.prod(self.grid_shape) if self._inside is None else int(self.is_birth_cell.sum())
+
+    @cached_property
+    def is_birth_cell(self) -> Tensor:
+        """Whether a cell of the grid reaches into the region, `(C,)` bool.
+
+        It does with its centre, a corner or the middle of a side.
+        """
+        centres = self.cell_centres()
+        if self._inside is None:
+            return torch.ones_like(centres[:, 0], dtype=torch.bool)
+        ends = torch.tensor([0.0, -0.5, 0.5], dtype=centres.dtype, device=centres.device)
+        offsets = torch.cartesian_prod(*[ends] * self.num_coordinates).reshape(-1, self.num_coordinates)
+        reaches = [self._inside(centres + offset * self.cell) for offset in offsets]
+        return torch.stack(reaches).any(0)
 
     def cell_centres(self) -> Tensor:
-        """Centres of all birth cells, `(Q, d)`, last coordinate fastest."""
+        """Centres of all C cells of the grid, birth cells or not, `(C, d)`, last coordinate fastest."""
         axes = [
             low + cell * (torch.arange(n, dtype=low.dtype, device=low.device) + 0.5)
             for low, cell, n in zip(self.low, self.cell, self.grid_shape, strict=True)
@@ -105,7 +135,8 @@ class Region:
     def contains(self, state: Tensor) -> Tensor:
         """Whether positions lie in the region, `(*batch, D)` to `(*batch,)` bool."""
         position = state[..., : self.num_coordinates]
-        return ((position >= self.low) & (position <= self.high)).all(-1)
+        holds = ((position >= self.low) & (position <= self.high)).all(-1)
+        return holds if self._inside is None else holds & self._inside(position)
 
     @property
     def column_names(self) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from torchdt.detect.strongest import strongest_cell
 from torchdt.field.base import Field
 from torchdt.field.mismatch import DiffuseField
 from torchdt.model.gamma_chain import uniform_prior_around
+from torchdt.model.kinematics import drop_outside
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask_covariance
 from torchdt.model.region import Region
 from torchdt.particles.adaptive import Box, adapt
@@ -144,7 +145,8 @@ def _refine(field: Field, region: Region, whitener: Whitener, centre: Tensor, ro
 
     def peak(position: Tensor) -> Tensor:
         s, q = statistics(whitener, respond(field, position))
-        return peak_log_likelihood_ratio(whitener.num_snapshots[..., None], s, q)[0].sum(-2)
+        gain = peak_log_likelihood_ratio(whitener.num_snapshots[..., None], s, q)[0].sum(-2)
+        return drop_outside(position, gain, region)
 
     around = Box((centre - region.cell).clamp_min(region.low), (centre + region.cell).clamp_max(region.high))
     return adapt(peak, around, rounds.movedim(-3, 0)).fitted.mean
@@ -195,7 +197,8 @@ def propose_newborn(
     prior = Box(centre - region.cell / 2, centre + region.cell / 2)
 
     def log_likelihood(position: Tensor) -> Tensor:
-        return state_message(whitener, respond(field, position), power, log_power_weight)
+        message = state_message(whitener, respond(field, position), power, log_power_weight)
+        return drop_outside(position, message, region)
 
     proposal = adapt(log_likelihood, prior, rounds.movedim(-3, 0)) if adapted else prior
     d = region.num_coordinates
@@ -203,6 +206,7 @@ def propose_newborn(
     rate = region.rate_low + (region.rate_high - region.rate_low) * torch.special.ndtr(final[..., d:])
     log_weight = prior.log_prob(position) - proposal.log_prob(position) - math.log(final.shape[-2])
     state = torch.cat([position, rate], -1)
+    log_weight = drop_outside(state, log_weight, region)
     odds = torch.where(picks.active, log_odds[..., None], -torch.inf)
     label = torch.zeros(picks.active.shape, dtype=torch.int64, device=state.device)
     return Objects(state, log_weight, power, log_power_weight, odds, label), respond(field, state)

@@ -1,5 +1,6 @@
 """Sources and snapshots drawn from the statistical model of the tracker (Liang and Meyer, Sec. II)."""
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -84,7 +85,9 @@ def draw_population(
     """
     draws = RandomStreams([generator], (), torch.float64)
     steps = torch.arange(num_steps)
-    mean = torch.full((num_steps,), population.birth_mean, dtype=torch.float64)
+    # Drawn in the whole box; what is born where no object can be is never there.
+    box_mean = population.birth_mean * math.prod(region.grid_shape) / region.num_cells
+    mean = torch.full((num_steps,), box_mean, dtype=torch.float64)
     birth = steps.repeat_interleave(torch.poisson(mean, generator=generator).long())
     num_sources, num_coordinates = len(birth), region.num_coordinates
     low, high = torch.cat([region.low, region.rate_low]), torch.cat([region.high, region.rate_high])
@@ -98,7 +101,8 @@ def draw_population(
 
     age = steps[:, None] - birth
     survives = draws.uniform(num_steps, num_sources) < population.survival
-    present = (age >= 0) & ((age <= 0) | survives & region.contains(state)).cumprod(0).bool()
+    lives = (age < 0) | region.contains(state) & ((age == 0) | survives)
+    present = (age >= 0) & lives.cumprod(0).bool()
     weakest, strongest = population.power_db
     decibel = weakest + (strongest - weakest) * draws.uniform(num_sources, num_tones)
     moving = (age > 0)[..., None].expand(-1, -1, num_tones)

@@ -41,12 +41,12 @@ def read_npz(path: str | os.PathLike[str]) -> Recording:
         InputError: no such file, not a complete `.npz`, or a key that does not fit.
     """
     path = Path(path)
-    with _open(path) as file, _archive(path, file) as archive:
+    with open_file(path) as file, open_archive(path, file) as archive:
         unknown = sorted(set(archive.files) - set(KEYS))
         if unknown:
             log.warning("%s: keys without a meaning here are left out: %s", path, ", ".join(unknown))
         try:
-            tensors = {key: _tensor(key, archive) for key in KEYS if key in archive.files}
+            tensors = {key: read_tensor(key, archive) for key in KEYS if key in archive.files}
             recording = validate(**tensors, name=path.stem)
         except InputError as error:
             raise InputError(f"path '{path}': {error}") from error
@@ -71,14 +71,16 @@ def _plain(value: Tensor | float) -> np.ndarray | float:
     return value.detach().cpu().resolve_conj().numpy() if isinstance(value, Tensor) else value
 
 
-def _open(path: Path) -> BinaryIO:
+def open_file(path: Path) -> BinaryIO:
+    """Open a file to read; InputError where it cannot be."""
     try:
         return path.open("rb")
     except OSError as error:
         raise InputError.of_path(path, (error.strerror or str(error)).lower(), EXPECTED) from error
 
 
-def _archive(path: Path, file: BinaryIO) -> NpzFile:
+def open_archive(path: Path, file: BinaryIO) -> NpzFile:
+    """The `.npz` archive in an open file; InputError where there is none."""
     try:
         archive = np.load(file, allow_pickle=False)
     except (ValueError, EOFError, OSError, NotImplementedError, zipfile.BadZipFile) as error:
@@ -88,7 +90,8 @@ def _archive(path: Path, file: BinaryIO) -> NpzFile:
     return archive
 
 
-def _tensor(key: str, archive: NpzFile) -> Tensor:
+def read_tensor(key: str, archive: NpzFile) -> Tensor:
+    """A numeric array of an archive, in its precision; InputError where it is none."""
     try:
         array = archive[key]
     except (ValueError, EOFError, OSError, RuntimeError, zlib.error, zipfile.BadZipFile) as error:

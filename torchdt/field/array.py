@@ -1,0 +1,129 @@
+"""Sensors and tones of an array anywhere in space: checks, and their float64 buffers."""
+
+import logging
+import math
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Self
+
+import torch
+from torch import Tensor, nn
+
+from torchdt.errors import InputError, require
+
+log = logging.getLogger(__name__)
+
+
+class SensorArray(nn.Module):
+    """What fields of free space share: places, wavenumbers, and phases that float32 can hold.
+
+    Phases are taken in float64 whatever the type of the state: at thousands of radians float32 leaves too
+    few digits.
+
+    Args:
+        freqs: `(I,)` tones, Hz.
+        sensor_positions: `(M, 3)` m; the axes are those of the states (east, north, up for directions).
+        wave_speed: m/s.
+        min_rank: number of dimensions that the sensors must span, or states could not be told apart.
+        device: of the buffers, and so of the states.
+        dtype: real type of the states.
+
+    Raises:
+        InputError: naming the key of the field at fault.
+    """
+
+    num_coordinates: int
+    _places: Tensor  # (M, 3) m, float64
+    _cycles: Tensor  # (I,) wavenumbers / 2 pi, 1/m, float64
+
+    def __init__(
+        self,
+        freqs: Sequence[float],
+        sensor_positions: Sequence[Sequence[float]],
+        wave_speed: float,
+        min_rank: int,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        super().__init__()
+        tones, places = _tensor("field.freqs", freqs), _tensor("field.sensor_positions", sensor_positions)
+        holds = tones.ndim == 1 and len(tones) > 0 and bool((tones > 0).all())
+        require(holds, "field.freqs", freqs, "one positive frequency or more, Hz")
+        holds = places.ndim == 2 and places.shape[-1] == 3 and len(places) > 0
+        found = f"shape {tuple(places.shape)}"
+        require(holds, "field.sensor_positions", found, "(M, 3): east, north and up of each sensor, m")
+        rank = int(torch.linalg.matrix_rank(places - places.mean(0)))
+        expected = f"{min_rank} or more, to tell states of this many coordinates apart"
+        found = f"sensors that span {rank} dimensions"
+        require(rank >= min_rank, "field.sensor_positions", found, expected)
+        holds = isinstance(wave_speed, int | float) and 0 < wave_speed < math.inf
+        require(holds, "field.wave_speed", wave_speed, "a positive number, m/s")
+        self.num_tones, self.num_sensors = len(tones), len(places)
+        self.dtype = dtype or torch.get_default_dtype()
+        self.register_buffer("_places", places.to(device), persistent=False)
+        self.register_buffer("_cycles", (tones / wave_speed).to(device), persistent=False)
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        # A change of type, as by `module.float()`, must not reach what is float64 on purpose.
+        return super()._apply(lambda buffer: buffer.to(fn(buffer).device), recurse)
+
+    def waves(self, path: Tensor) -> Tensor:
+        """`exp(i 2 pi f / c path)` of paths `(*batch, M)` m in float64, `(*batch, I, M)` complex."""
+        phase = 2 * math.pi * (path[..., None, :] * self._cycles[:, None]).frac().to(self.dtype)
+        return torch.complex(phase.cos(), phase.sin())
+
+    def position(self, state: Tensor) -> Tensor:
+        """The position part of a state, float64.
+
+        Raises:
+            ValueError: if the state has too few entries or another type than the field.
+        """
+        d = self.num_coordinates
+        if state.ndim == 0 or state.shape[-1] < d or state.dtype != self.dtype:
+            raise ValueError(
+                f"state has shape {tuple(state.shape)} and type {state.dtype}; "
+                f"expected (*batch, {d} or more) of {self.dtype}"
+            )
+        return state[..., :d].double()
+
+
+def _tensor(key: str, values: Sequence[float] | Sequence[Sequence[float]]) -> Tensor:
+    try:
+        tensor = torch.as_tensor(values, dtype=torch.float64, device="cpu")
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError.of_key(key, values, f"an array of numbers ({error})") from error
+    require(bool(tensor.isfinite().all()), key, values, "finite numbers")
+    return tensor
+
+
+def nearest_spacing(places: Tensor) -> float:
+    """Smallest distance between two of the sensors `(M, 3)`, in their unit; infinite for a single one."""
+    return min(torch.pdist(places).tolist(), default=math.inf)
+
+
+def warn_of_aliasing(places: Tensor, freqs: Sequence[float], wave_speed: float) -> None:
+    """Warn in the log where even neighbouring sensors are more than half a wavelength apart.
+
+    A regular array then takes some directions for others (grating lobes); an irregular one has high side
+    lobes instead.
+
+    Args:
+        places: `(M, 3)` m.
+        freqs: `(I,)` Hz.
+        wave_speed: m/s.
+    """
+    spacing, half = nearest_spacing(places), wave_speed / max(freqs) / 2
+    if math.isfinite(spacing) and spacing > half * (1 + 1e-6):
+        _warn(f"{spacing:.4g}", f"{half:.4g}", f"{max(freqs):.4g}")
+
+
+@cache
+def _warn(spacing: str, half: str, tone: str) -> None:
+    """Once for each array, which a run may build several times."""
+    log.warning(
+        "nearest sensors are %s m apart, more than half the wavelength of the highest tone, %s m at %s Hz: "
+        "directions may be ambiguous",
+        spacing,
+        half,
+        tone,
+    )

@@ -1,0 +1,77 @@
+"""Spherical waves of objects near an array."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchdt.errors import require
+from torchdt.field.array import SensorArray
+
+MIN_DISTANCE = 1e-3
+
+
+class SphericalWaveField(SensorArray):
+    """Response of an array to a point source, `a_m = exp(-i 2 pi f / c R_m) / R_m`, `R_m = |x - p_m|`.
+
+    The free field of a point source (Jensen, Kuperman, Porter and Schmidt, Computational Ocean Acoustics, 2nd
+    ed. 2011, ch. 2.3) for a time factor `exp(i omega t)`, in units of its amplitude at 1 m. Far away and with
+    unit norm it is `PlaneWaveField` of sign +1 but for a common phase. Distances below `MIN_DISTANCE` count
+    as that, with derivative zero.
+
+    The state is a position in metres on the axes of the sensors, then its rates.
+
+    Args:
+        freqs: `(I,)` tones, Hz.
+        sensor_positions: `(M, 3)` m.
+        wave_speed: m/s.
+        num_coordinates: 2 for objects (x, y) in a horizontal plane, 3 for (x, y, z).
+        plane_z: height of that plane, m; without a meaning for three coordinates.
+        normalize: give each tone's response unit norm over the sensors.
+        device: of the buffers, and so of the states.
+        dtype: real type of the states.
+
+    Raises:
+        InputError: naming the key of the field at fault; also where the sensors span too few dimensions to
+            tell the states apart: one for two coordinates (to one side of the line), two for three.
+    """
+
+    def __init__(
+        self,
+        freqs: Sequence[float],
+        sensor_positions: Sequence[Sequence[float]],
+        wave_speed: float,
+        *,
+        num_coordinates: int = 2,
+        plane_z: float = 0.0,
+        normalize: bool = True,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        require(num_coordinates in (2, 3), "field.num_coordinates", num_coordinates, "2 or 3")
+        self.num_coordinates = num_coordinates
+        super().__init__(freqs, sensor_positions, wave_speed, num_coordinates - 1, device, dtype)
+        self.plane_z, self.normalize = plane_z, normalize
+
+    def forward(self, state: Tensor) -> Tensor:
+        """Evaluate the response.
+
+        Args:
+            state: `(*batch, D)` real, `D >= num_coordinates`.
+
+        Returns:
+            `(*batch, I, M)` complex.
+
+        Raises:
+            ValueError: if `state` has too few entries or another type than the field.
+        """
+        position = self.position(state)
+        if self.num_coordinates == 2:
+            height = torch.full_like(position[..., :1], self.plane_z)
+            position = torch.cat([position, height], -1)
+        square = (position[..., None, :] - self._places).square().sum(-1)
+        distance = square.clamp(min=MIN_DISTANCE**2).sqrt()
+        loss = 1 / distance
+        if self.normalize:
+            loss = loss / torch.linalg.vector_norm(loss, dim=-1, keepdim=True)
+        return loss.to(state.dtype)[..., None, :] * self.waves(-distance)
