@@ -43,7 +43,8 @@ def read(settings, files):
     def read(kind, *overrides):
         rate = () if kind == "wav" else (f"data.sample_rate={RATE}",)
         path = f"data.path={files / f'array.{kind}'}"
-        return build_recording(settings(f"data={kind}", path, *SIZES, *rate, *overrides))
+        group = "sio_whole" if kind == "sio" else kind
+        return build_recording(settings(f"data={group}", path, *SIZES, *rate, *overrides))
 
     return read
 
@@ -91,6 +92,13 @@ def test_tracked_from_a_file(launch, files):
     assert json.loads((outcome.directory / "manifest.json").read_text())["config"]["data"]["kind"] == "wav"
 
 
+def test_a_path_of_the_scenario_is_the_truth(read):
+    """The first goes from -40 to 0 degrees in a minute, from where the segment starts."""
+    truth = read("wav", "data.truth_path=first", "data.start_s=2").truth
+    middle = SPAN_S / 2 + STEP_S * np.arange(truth.shape[1])
+    np.testing.assert_allclose(truth[0, :, 0, 0], -40 + 40 / 60 * middle)
+
+
 def test_missing_samples(read, files, samples, caplog):
     broken = samples.astype("f4")
     broken[3] = np.nan
@@ -120,6 +128,7 @@ def test_missing_samples(read, files, samples, caplog):
             ["field.freqs=[100,800]"],
             "'field.freqs': found 800 Hz and a search of 1.0 Hz, expected less",
         ),
+        ("wav", ["data.truth_path=third"], "'data.truth_path': found third, expected a path of the scenario"),
         ("wav", ["data.start_s=12"], "'data.start_s': found 12.0, expected less than the file's 12 s"),
         (
             "wav",
@@ -163,8 +172,9 @@ def test_error_on_the_command_line(launch, files):
 
 
 def test_the_paper_as_configured(settings):
-    chosen = settings("data=swellex96", "data.path=a.sio", small=False).data
+    chosen = settings("data=sio", "data.path=a.sio", small=False).data
     assert (chosen.kind, chosen.sample_rate, chosen.start_s, chosen.duration_s) == ("sio", 1500, 1800, 1200)
+    assert (chosen.truth, chosen.truth_path) == (None, "tow")
     assert (chosen.static_copy.step, chosen.static_copy.gain_db) == (50, -3.0)
     length = chosen.window_length + 2 * chosen.hop
     assert 1 + (1200 * 1500 - length) // (3 * chosen.hop) == 292

@@ -73,7 +73,9 @@ class SignalSettings(DataSettings):
         snapshots_per_step: J.
         search_hz: how far from its nominal frequency a tone is looked for, Hz.
         start_s, duration_s: part of the file, s; None goes on to its end.
-        truth: path of a table, see `torchdt.signals.truth`; None is no truth.
+        truth: path of a table, see `torchdt.signals.truth`.
+        truth_path: without a table, the path of the scenario that the source takes from `start_s` on; without
+            either there is no truth.
         truth_depth_m: depth that goes with a table of ranges alone.
         static_copy: adds a standing source.
     """
@@ -87,6 +89,7 @@ class SignalSettings(DataSettings):
     start_s: float = 0.0
     duration_s: float | None = None
     truth: str | None = None
+    truth_path: str | None = None
     truth_depth_m: float | None = None
     static_copy: StaticCopySettings = dataclasses.field(default_factory=StaticCopySettings)
 

@@ -4,11 +4,14 @@ import math
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from torchdt.errors import InputError, require
 from torchdt.experiment.fields import build_field
 from torchdt.experiment.settings import SignalSettings, TrackSettings
 from torchdt.scenario.recording import Recording, validate
+from torchdt.scenario.settings import ScenarioSettings
+from torchdt.scenario.simulate import position_along
 from torchdt.signals.readers import open_npy, open_wav
 from torchdt.signals.signal import Signal
 from torchdt.signals.sio import open_sio
@@ -45,16 +48,26 @@ def read_signals(settings: TrackSettings, data: SignalSettings) -> Recording:
         search_hz=data.search_hz,
     )
     step_s = data.snapshots_per_step * data.hop / sample_rate
-    truth = None
-    if data.truth is not None:
-        middle = (start + samples_of_step(*sizes) / 2) / sample_rate
-        times = middle + step_s * torch.arange(len(snapshots), dtype=torch.float64)
-        names = [coordinate.name for coordinate in settings.scenario.coordinates]
-        truth = read_truth(Path(data.truth), names, times, data.truth_depth_m)
+    # Positions are those in the middle of a step.
+    first = samples_of_step(*sizes) / 2 / sample_rate
+    times = first + step_s * torch.arange(len(snapshots), dtype=torch.float64)
+    truth = _truth(settings.scenario, data, times, start / sample_rate)
     if data.static_copy.step is not None:
         copied = data.static_copy.step, data.static_copy.gain_db
         snapshots, truth = add_static_copy(snapshots, truth, *copied)
     return validate(snapshots=snapshots, truth=truth, step_s=step_s, name=path.stem)
+
+
+def _truth(scenario: ScenarioSettings, data: SignalSettings, times: Tensor, start_s: float) -> Tensor | None:
+    """True positions `(K, L, d)` at times `(K,)` s from the start of the segment, if they are known."""
+    if data.truth is not None:
+        names = [coordinate.name for coordinate in scenario.coordinates]
+        return read_truth(Path(data.truth), names, start_s + times, data.truth_depth_m)
+    if data.truth_path is None:
+        return None
+    known = sorted(scenario.paths)
+    require(data.truth_path in known, "data.truth_path", data.truth_path, f"a path of the scenario: {known}")
+    return position_along(scenario.paths[data.truth_path], times)[:, None]
 
 
 def _sample_rate(signal: Signal, data: SignalSettings) -> float:

@@ -15,18 +15,22 @@ def source_track(source: SourceSettings, path: PathSettings, num_steps: int, ste
     times = torch.arange(num_steps, dtype=torch.float64) * step_s
     if source.frozen_step is not None:
         times = torch.full_like(times, source.frozen_step * step_s)
-    knots = torch.tensor(path.positions, dtype=torch.float64)
-    if len(knots) >= 3:
-        position = torch.from_numpy(CubicSpline(path.times_s, knots.numpy())(times.numpy()))
-    elif len(knots) == 2:
-        share = (times - path.times_s[0]) / (path.times_s[1] - path.times_s[0])
-        position = torch.lerp(knots[0], knots[1], share[:, None])
-    else:
-        position = knots.expand(num_steps, -1).clone()
+    position = position_along(path, times)
     position[: source.birth] = torch.nan
     if source.death is not None:
         position[source.death :] = torch.nan
     return position
+
+
+def position_along(path: PathSettings, times: Tensor) -> Tensor:
+    """Positions `(K, d)` float64 on a path at times `(K,)` s: a cubic spline through its points."""
+    knots = torch.tensor(path.positions, dtype=torch.float64)
+    if len(knots) >= 3:
+        return torch.from_numpy(CubicSpline(path.times_s, knots.numpy())(times.numpy()))
+    if len(knots) == 2:
+        share = (times - path.times_s[0]) / (path.times_s[1] - path.times_s[0])
+        return torch.lerp(knots[0], knots[1], share[:, None])
+    return knots.expand(len(times), -1).clone()
 
 
 def simulate_snapshots(
