@@ -53,7 +53,7 @@ def launch(directory, *overrides):
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory):
     directory = tmp_path_factory.mktemp("benchmark")
-    with mock.patch.object(memory, "_probe", return_value=(2048, 4096)):
+    with mock.patch.object(memory, "probe", return_value=(2048, 4096)):
         status, out, err = launch(directory)
     assert status == 0, err
     return out, directory, json.loads((directory / "benchmark.json").read_text())

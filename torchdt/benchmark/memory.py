@@ -1,4 +1,4 @@
-"""Memory that processes of this machine hold: of a whole run, and of tracking that goes on and on."""
+"""Memory that fresh processes hold: of a whole run, and of tracking that goes on and on."""
 
 import subprocess
 import sys
@@ -56,7 +56,7 @@ def measure_run_memory(overrides: Sequence[str]) -> list[Measured]:
     """
     with tempfile.TemporaryDirectory() as folder:
         places = (f"hydra.run.dir={folder}", f"threads={torch.get_num_threads()}")
-        before, peak = _probe(RUN, *overrides, *places)
+        before, peak = probe(RUN, *overrides, *places)
     said = " ".join(overrides) or "the default configuration"
     rows = [
         ("peak memory of a run", peak, f"fresh process, PyTorch included: {said}"),
@@ -77,7 +77,7 @@ def measure_growth(tracker: Tracker[Any], prepared: Prepared, steps: int) -> lis
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "online.pt"
         torch.save((tracker, prepared), path)
-        first, last = _probe(ONLINE, str(path), *map(str, (torch.get_num_threads(), steps, early)))
+        first, last = probe(ONLINE, str(path), *map(str, (torch.get_num_threads(), steps, early)))
     rows = [
         (f"resident after {early} steps", first, "step by step, fresh process"),
         (f"resident after {steps} steps", last, "likewise"),
@@ -86,8 +86,15 @@ def measure_growth(tracker: Tracker[Any], prepared: Prepared, steps: int) -> lis
     return [Measured("memory", name, value / 1024, "MiB", note) for name, value, note in rows]
 
 
-def _probe(program: str, *arguments: str) -> tuple[int, int]:
-    """The two numbers in the last line that a fresh process of Python prints."""
+def probe(program: str, *arguments: str) -> tuple[int, int]:
+    """The two numbers in the last line that a fresh process of Python prints.
+
+    Resource usage would count what the parent holds, too.
+
+    Args:
+        program: may call `kibibytes` of `VmRSS`, what it holds, or `VmHWM`, the most that it held.
+        arguments: its `sys.argv[1:]`.
+    """
     command = [sys.executable, "-c", STATUS + program, *arguments]
     printed = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
     first, last = printed.splitlines()[-1].split()

@@ -1,8 +1,6 @@
 """Time and memory of sparse Bayesian learning, beside plain formulations of the same mathematics."""
 
 import math
-import subprocess
-import sys
 import tempfile
 from collections.abc import Sequence
 from functools import partial
@@ -15,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchdt.benchmark.clock import clock
+from torchdt.benchmark.memory import probe
 from torchdt.benchmark.oracle import ORACLES, load_oracle
 from torchdt.detect.peaks import find_peaks
 from torchdt.detect.sbl import SparseBayesianLearning
@@ -28,18 +27,15 @@ ORACLE = ORACLES / "sparse_bayesian.py"
 PEAKS = 256
 """More peaks than are compared."""
 
-PROBE = """
-import re, sys, torch
-from pathlib import Path
+DETECT = """
+import torch
 torch.set_num_threads(int(sys.argv[2]))
 detector, measurement = torch.load(sys.argv[1], weights_only=False)
-def kibibytes(key):
-    return re.search(key + r":\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1]
 before = kibibytes("VmRSS")
 detector(measurement)
 print(before, kibibytes("VmHWM"))
 """
-"""Detects the points of one step and nothing else. Resource usage would count what the parent holds, too."""
+"""Detects the points of one step and nothing else."""
 
 
 def measure_sbl(
@@ -123,8 +119,7 @@ def measure_memory(detector: SparseBayesianLearning, step: Measurement) -> list[
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "step.pt"
         torch.save((detector, step), path)
-        command = [sys.executable, "-c", PROBE, str(path), str(torch.get_num_threads())]
-        before, peak = map(int, subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout.split())
+        before, peak = probe(DETECT, str(path), str(torch.get_num_threads()))
     note = "fresh process, PyTorch and dictionary included"
     above = "above what it held before detection"
     return [
