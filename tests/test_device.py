@@ -183,12 +183,13 @@ def test_defaults_of_pytorch_have_no_part_in_the_likelihood_and_its_gradient(in_
 
     def differentiate() -> tuple[Tensor, ...]:
         region = make_water(dtype)
-        parameters = Parameters(*(t.requires_grad_() for t in default_parameters(config, region)))
+        values = default_parameters(config, region).known()
+        parameters = Parameters(**{name: value.requires_grad_() for name, value in values.items()})
         tracker = DirectTracker(field, region, 1.0, config, parameters)
         streams = RandomStreams.from_seeds([1, 2], (2,), dtype)
         priors, blocks = data_priors(measurement), {"block": 2, "truncate": 3}
         evidence = log_likelihood(tracker, measurement, priors, streams, **blocks)
-        return evidence, *torch.autograd.grad(evidence.sum(), [*parameters, tilt])
+        return evidence, *torch.autograd.grad(evidence.sum(), [*values.values(), tilt])
 
     with default_dtype(dtype):
         expected = differentiate()

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchdt.errors import InputError
 from torchdt.likelihood import log_likelihood
 from torchdt.model.measurement import Measurement, from_snapshots
-from torchdt.model.parameters import Parameters
+from torchdt.model.parameters import Parameters, stack_parameters
 from torchdt.model.prior import data_priors
 from torchdt.random import RandomStreams
 from torchdt.state import TrackerState
@@ -95,7 +95,7 @@ def cut(state: TrackerState) -> TrackerState:
 @MODES
 def test_truncation_after_every_step_is_the_sum_of_one_step_gradients(measurement, gradient):
     tracker, priors = small(gradient=gradient), data_priors(measurement)
-    leaves = {name: value.requires_grad_() for name, value in parameters()._asdict().items()}
+    leaves = {name: value.requires_grad_() for name, value in parameters().known().items()}
     tracker = tracker.with_parameters(Parameters(**leaves))
     streams = RandomStreams.from_seeds([1, 2], (2,), F64)
     state, values = tracker.init(priors), []
@@ -145,8 +145,8 @@ def test_a_batch_of_parameters_equals_separate_runs(measurement, gradient):
     """Each sequence with a setting of its own, of every parameter."""
     tracker = small(gradient=gradient)
     first, second = parameters(), parameters()
-    second = Parameters(*(0.8 * value for value in second))
-    both = Parameters(*(torch.stack(pair) for pair in zip(first, second, strict=True)))
+    second = Parameters(**{name: 0.8 * value for name, value in second.known().items()})
+    both = stack_parameters([first, second], 1)
     together, slopes = differentiate(tracker, measurement, both)
     for b, own in enumerate((first, second)):
         alone = Measurement(*(t[b : b + 1] for t in measurement))
@@ -190,8 +190,7 @@ def test_a_padded_tail_changes_nothing(block):
     data = snapshots()
     data[0, 5:] = torch.nan
     measurement, tracker = from_snapshots(data), small()
-    leaves = [parameters(), parameters()]
-    both = Parameters(*(torch.stack(pair) for pair in zip(*leaves, strict=True)))
+    both = stack_parameters([parameters()], 2)
     value, slopes = differentiate(tracker, measurement, both, block=block)
     assert value[0, 5:].eq(0).all()
     short = differentiate(tracker, from_snapshots(data[:1, :5]), seeds=[1], block=block)

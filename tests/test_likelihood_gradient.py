@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchdt.field.plane_wave import LineArrayField
 from torchdt.model.measurement import Measurement, from_snapshots
-from torchdt.model.parameters import Parameters
+from torchdt.model.parameters import stack_parameters
 from torchdt.tracker import DirectTracker
 
 F64 = torch.float64
@@ -47,7 +47,7 @@ def test_gradient_in_the_parameters_equals_finite_differences(measurement, propo
             rewind(tapes)
             return evaluate(tracker.with_parameters(parameters(**{name: at})), measurement).sum().item()
 
-        for name, start in parameters()._asdict().items():
+        for name, start in parameters().known().items():
             if gradient == "score" and name == "driving_variance":
                 continue
             slope = central_difference(partial(value, name), start)
@@ -91,7 +91,7 @@ def test_both_gradients_of_the_motion_agree_in_expectation():
     runs = 24
     turning = (((0.0, -30.0), (2.0, -33.0), (5.0, -20.0)), ((0.0, 30.0), (3.0, 25.0), (6.0, 33.0)))
     data = from_snapshots(simulate(1, *turning, steps=6)[0].expand(runs, -1, -1, -1, -1))
-    each = Parameters(*(value.expand(runs, *value.shape) for value in parameters()))
+    each = stack_parameters([parameters()], runs)
     value, slopes = zip(
         *(
             differentiate(make_tracker(gradient=gradient, evidence_samples=256), data, each, range(runs))

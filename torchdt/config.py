@@ -75,6 +75,7 @@ class TrackerConfig(ObjectConfig):
         rounds: rounds of fitting a proposal, at most.
         round_size: sample size of each round.
         likelihood_power: power to which the likelihood is raised; below 1 the snapshots count as fewer.
+        effective_count: snapshots that every sample covariance counts as; None takes the number in the data.
         mismatch_share: share of each tone's energy that responses do not cover, where the field knows how its
             response scatters; None leaves it to the calibration.
         evidence: log p(z_k | z_1..k-1) by importance sampling (`sampled`), or `gaussian`: cheap and crude.
@@ -96,6 +97,7 @@ class TrackerConfig(ObjectConfig):
     rounds: int = 6
     round_size: int = 128
     likelihood_power: float = 1.0
+    effective_count: float | None = None
     mismatch_share: list[float] | None = None
     evidence: str = "sampled"
     evidence_samples: int = 64
@@ -110,7 +112,7 @@ class TrackerConfig(ObjectConfig):
             self._require(name, getattr(self, name) >= 1, "a positive integer")
         for name in ("power_shape", "noise_shape"):
             self._require(name, 0 < getattr(self, name) < math.inf, "a positive number")
-        for name in ("power_max", "noise_max"):
+        for name in ("power_max", "noise_max", "effective_count"):
             limit = getattr(self, name)
             self._require(name, limit is None or 0 < limit < math.inf, "a positive number or null")
         self._require("likelihood_power", 0 < self.likelihood_power <= 1, "a number above 0, up to 1")

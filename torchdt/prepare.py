@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchdt.config import TrackerConfig
-from torchdt.errors import InputError
+from torchdt.errors import InputError, require
 from torchdt.field.base import Field
 from torchdt.model.measurement import Measurement, from_covariance, from_snapshots
 from torchdt.model.prior import Priors, data_priors, data_scale
@@ -41,7 +41,8 @@ def prepare(
         config: limits of the priors, where they are set; None takes them from the data.
 
     Raises:
-        InputError: where tones or sensors differ from the field's, or a recording is zero throughout.
+        InputError: where tones or sensors differ from the field's, a recording is zero throughout, or an
+            effective count is configured for snapshots, whose number is known.
     """
     for key, found, expected in (
         ("tones", recording.num_tones, field.num_tones),
@@ -52,6 +53,8 @@ def prepare(
             raise InputError.of_key(name, f"{found} {key}", f"{expected} {key}, as the field has")
     data = recording.data.to(torch.complex128)
     is_covariance = recording.covariance is not None
+    count = None if config is None else config.effective_count
+    require(is_covariance or count is None, "tracker.effective_count", count, "null: the data are snapshots")
     scale = data_scale(data, is_covariance)
     # Scaled in double and then rounded: the same numbers whatever unit the file is in.
     divisor = scale.square() if is_covariance else scale

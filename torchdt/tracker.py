@@ -24,6 +24,7 @@ from torchdt.model.measurement import Measurement
 from torchdt.model.parameters import Parameters, default_parameters, widen
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
+from torchdt.model.wishart import log_normaliser
 from torchdt.placement import Placer
 from torchdt.predict import Predicted, exchangeable, predict
 from torchdt.prepare import Prepared, prepare
@@ -141,6 +142,9 @@ class DirectTracker(Tracker[TrackerState]):
         """
         cfg, parameters = self.config, self.parameters
         draws = self.draw(streams)
+        given, count = measurement, parameters.effective_count
+        if count is not None:
+            measurement = given.recounted(widen(count, 1))
         tempered = measurement.tempered(widen(parameters.likelihood_power, 1))
         predicted = self.predict(state, draws.driving)
         noise, born = state.noise, birth_log_odds(parameters.birth_mean, self.region.num_cells)
@@ -156,6 +160,8 @@ class DirectTracker(Tracker[TrackerState]):
             initial=current.beliefs,
         )
         log_evidence = self.evidence(predicted, current, noise, measurement, beliefs, draws.evidence)
+        if count is not None:
+            log_evidence = log_evidence + log_normaliser(given, widen(count, 1)).to(log_evidence).sum(-1)
         objects, next_label, estimate = conclude(current.objects, beliefs, state, log_evidence, cfg)
         if cfg.proposal == "prior":
             objects = resample(objects, cfg, streams)

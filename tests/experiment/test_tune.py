@@ -2,6 +2,7 @@ import csv
 import json
 import math
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -29,21 +30,23 @@ POINTS = ("tracker.power_points=16", "tracker.noise_points=64")
 LINE = ("scenario=line_array", *SMALL, *POINTS, "train_seeds=[0,1]", "heldout_seeds=[7]")
 SHORT = ("tuning.steps=4", "tuning.heldout_every=2", "tuning.gospa_every=2", "tuning.slice_points=2")
 NAMES = ("power_shape", "noise_shape", "survival", "birth_mean")
-# Ends its own process in the middle of writing the third checkpoint.
+# Ends its own process in the middle of writing the checkpoint that its first argument counts.
 KILLED = """
 import os, runpy, signal, sys
-import torch
-save, calls = torch.save, []
-def half(content, file):
+from torchdt import checkpoint
+count, script = int(sys.argv[1]), sys.argv[2]
+write, calls = checkpoint.atomic_write, []
+def half(path):
     calls.append(1)
-    save(content, file)
-    if len(calls) == 3:
-        file.truncate(100)
-        file.flush()
-        os.kill(os.getpid(), signal.SIGKILL)
-torch.save = half
-sys.argv = sys.argv[1:]
-runpy.run_path(sys.argv[0], run_name="__main__")
+    if len(calls) == count:
+        with write(path) as file:
+            file.write(b"half")
+            file.flush()
+            os.kill(os.getpid(), signal.SIGKILL)
+    return write(path)
+checkpoint.atomic_write = half
+del sys.argv[:2]
+runpy.run_path(script, run_name="__main__")
 """
 
 
@@ -195,7 +198,7 @@ def test_interrupted_run_goes_on(run, tmp_path):
 
     with mock.patch.object(TrackerObjective, "__call__", stopping), pytest.raises(KeyboardInterrupt):
         tune(tmp_path, "tuning.checkpoint_every=2")
-    state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)["state"]
+    state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)["content"]
     assert len(state["records"]) == 2
     resumed = tune(tmp_path, "tuning.checkpoint_every=2", "logging.figures=false")
     assert resumed.status == 0, resumed.err
@@ -206,11 +209,14 @@ def test_interrupted_run_goes_on(run, tmp_path):
 
 
 def test_killed_run_goes_on(run, tmp_path):
-    command = [sys.executable, "-c", KILLED, FOLDER / "tune.py", *LINE, *SHORT, f"hydra.run.dir={tmp_path}"]
+    count = random.SystemRandom().randint(2, 5)
+    print(f"killed in checkpoint {count}")
+    places = [FOLDER / "tune.py", *LINE, *SHORT, f"hydra.run.dir={tmp_path}"]
     environment = os.environ | {"OMP_NUM_THREADS": str(torch.get_num_threads())}  # rounds alike
+    command = [sys.executable, "-c", KILLED, str(count), *places]
     done = subprocess.run(command, env=environment, capture_output=True, check=False, timeout=120)
     assert done.returncode == -signal.SIGKILL, done.stderr
-    assert len(torch.load(tmp_path / "checkpoint.pt", weights_only=True)["state"]["records"]) == 2
+    assert len(torch.load(tmp_path / "checkpoint.pt", weights_only=True)["content"]["records"]) == count - 1
     resumed = tune(tmp_path, "logging=quiet")
     assert resumed.status == 0, resumed.err
     assert resumed.rows() == run.rows()
@@ -326,7 +332,7 @@ def test_bad_input(tmp_path, override, words):
         (["tuning.method=tpe"], "key 'tuning.budget_passes'"),
         (["+tuning.stepz=1"], "key 'tuning.stepz': found an unknown key"),
         (["variants=[{survival: 0.9}]"], "key 'variants': found .*, expected null: the search"),
-        (["data=npz", "data.path=x.npz"], "key 'data': found npz, expected train_paths and heldout_paths"),
+        (["data=npz", "data.path=x.npz"], "key 'data': found npz, expected its files as train_paths"),
     ],
 )
 def test_bad_settings(overrides, words):

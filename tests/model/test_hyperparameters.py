@@ -23,6 +23,7 @@ DEFAULTS = {
     "birth_mean": 1e-4,
     "driving_variance": torch.tensor([1e-2, 1e-5]),
     "likelihood_power": 1.0,
+    "effective_count": 80.0,
     "mismatch_share": torch.tensor([0.03, 0.1, 0.5], dtype=F64),
     "eof_coefficients": torch.tensor([0.0, -1.5], dtype=F64),
     "tilt_deg": 0.0,

@@ -17,6 +17,7 @@ VALUES = {
     "birth_mean": 0.1,
     "driving_variance": [1e-2, 1e-5],
     "likelihood_power": 0.7,
+    "effective_count": 30.0,
 }
 TWO = [Coordinate(name, "m", 0, 10, 1, -1, 1, variance) for name, variance in (("x", 1e-2), ("y", 1e-4))]
 
@@ -29,10 +30,12 @@ def parameters(dtype: torch.dtype) -> Parameters:
 def test_defaults_are_those_of_configuration_and_region(dtype):
     config = TrackerConfig(power_shape=50.0, survival=0.9, likelihood_power=0.5)
     found = default_parameters(config, Region(TWO, dtype))
-    assert {value.dtype for value in found} == {dtype}
+    assert {value.dtype for value in found.known().values()} == {dtype}
+    assert found.effective_count is None
     expected = {"power_shape": 50.0, "noise_shape": 100.0, "survival": 0.9, "birth_mean": 1e-4}
     expected |= {"driving_variance": [1e-2, 1e-4], "likelihood_power": 0.5}
-    for name, value in found._asdict().items():
+    assert set(found.known()) == set(expected)
+    for name, value in found.known().items():
         torch.testing.assert_close(value, torch.tensor(expected[name], dtype=dtype), rtol=0, atol=0)
 
 
@@ -105,3 +108,12 @@ def test_settings_are_stacked_one_after_another():
         alone = both.select(slice(b, b + 1))
         for found, expected in zip(alone, one if b < 3 else other, strict=True):
             assert torch.equal(found, expected[None])
+
+
+def test_a_count_left_to_the_data_stays_so_in_all_settings_or_in_none():
+    one = parameters(F64)
+    other = one._replace(effective_count=None)
+    assert stack_parameters([other, other], 2).effective_count is None
+    assert stack_parameters([other, other], 2).select(slice(0, 1)).effective_count is None
+    with pytest.raises(InputError, match="'effective_count': found 1 of 2 settings with a value, expected"):
+        stack_parameters([one, other], 2)

@@ -66,7 +66,7 @@ def differentiate(
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Evidence `(B, K)`, and the gradient of its sum in every parameter; zero where there is none."""
     at = parameters(tracker.region.low.dtype) if at is None else at
-    leaves = {name: value.clone().requires_grad_() for name, value in at._asdict().items()}
+    leaves = {name: value.clone().requires_grad_() for name, value in at.known().items()}
     found = evaluate(tracker.with_parameters(Parameters(**leaves)), measurement, seeds, **options)
     slopes = torch.autograd.grad(found.sum(), leaves.values(), materialize_grads=True)
     return found.detach(), dict(zip(leaves, slopes, strict=True))

@@ -99,7 +99,7 @@ def test_variants_csv(tmp_path, history, score, scored):
     variants = [TrackerConfig(), TrackerConfig(survival=0.5, driving_variance=[1e-3, 2.0])]
     files.write_variants_csv(path, variants, history, score if scored else None)
     assert path.read_text().splitlines()[0] == (
-        "variant,power_shape,noise_shape,survival,birth_mean,driving_variance,likelihood_power,"
+        "variant,power_shape,noise_shape,survival,birth_mean,driving_variance,likelihood_power,effective_count,"
         "gospa,localisation,missed,false,log_likelihood"
     )
     first, second = rows(path)

@@ -180,14 +180,14 @@ def gradient_parts(
     The gradient comes in through the evidence and through what the step leaves to the next one, and goes out
     to the parameters and to what the step was given.
     """
-    leaves = Parameters(*(_leaf(t) for t in tracker.parameters))
+    leaves = {name: _leaf(value) for name, value in tracker.parameters.known().items()}
     given = TrackerState(
         Objects(*(_leaf(t) for t in state.objects)), Noise(*(_leaf(t) for t in state.noise)), state.next_label
     )
-    forward = partial(tracker.with_parameters(leaves).step, given, measurement, priors, streams)
+    forward = partial(tracker.with_parameters(Parameters(**leaves)).step, given, measurement, priors, streams)
     left, estimate = forward()
     outputs = [t for t in (*left.objects, *left.noise, estimate.log_evidence) if t.requires_grad]
-    inputs = [t for t in (*leaves, *given.objects, *given.noise) if t.requires_grad]
+    inputs = [t for t in (*leaves.values(), *given.objects, *given.noise) if t.requires_grad]
     backward = partial(
         torch.autograd.grad,
         outputs,

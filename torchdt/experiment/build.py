@@ -10,9 +10,10 @@ from torch import Generator, Tensor
 from torch.nn.functional import pad
 
 from torchdt.errors import InputError, require
+from torchdt.experiment.data_settings import SignalSettings, TartSettings
 from torchdt.experiment.environment import calibrated_field
 from torchdt.experiment.fields import build_field
-from torchdt.experiment.settings import SignalSettings, TartSettings, TrackSettings
+from torchdt.experiment.settings import TrackSettings
 from torchdt.experiment.signals import read_signals
 from torchdt.experiment.tart_recording import read_sky
 from torchdt.field.base import Field

@@ -1,7 +1,6 @@
 """Configuration of the experiments: schemas for Hydra, range checks at the edge."""
 
 import dataclasses
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +12,7 @@ from torchdt.calibration.environment import CalibrationConfig
 from torchdt.config import ObjectConfig, TrackerConfig
 from torchdt.detect.config import PursuitConfig, SblConfig
 from torchdt.errors import InputError, require
+from torchdt.experiment.data_settings import DataSettings, SignalSettings, TartSettings
 from torchdt.scenario.settings import ScenarioSettings
 from torchdt.two_step import TwoStepConfig
 from torchdt.variants import variant_configs
@@ -22,135 +22,27 @@ MANY = 8
 
 
 @dataclass
-class DataSettings:
-    """Where the snapshots come from.
-
-    Attributes:
-        kind: `simulated` or `npz`.
-        path: of the file, or a list of paths; their sequences are tracked as one batch.
-    """
-
-    kind: str = "simulated"
-    path: Any = None
-
-    def __post_init__(self) -> None:
-        require(self.kind in ("simulated", "npz"), "data.kind", self.kind, "simulated or npz")
-        given = bool(self.paths) and all(isinstance(path, str) and path for path in self.paths)
-        expected = "the path of a file or a list of paths"
-        require(self.kind == "simulated" or given, "data.path", self.path, expected)
-
-    @property
-    def paths(self) -> list[str]:
-        """The files."""
-        return list(self.path) if isinstance(self.path, list | tuple) else [self.path]
-
-
-@dataclass
-class StaticCopySettings:
-    """A standing source made from one step of the data, see `torchdt.signals.static_copy`.
-
-    Attributes:
-        step: that is added to every step; None adds none.
-        gain_db: of the data as they were, dB.
-    """
-
-    step: int | None = None
-    gain_db: float = -3.0
-
-    def __post_init__(self) -> None:
-        require(math.isfinite(self.gain_db), "data.static_copy.gain_db", self.gain_db, "a finite number")
-
-
-@dataclass
-class SignalSettings(DataSettings):
-    """Raw signals; `torchdt.signals.spectra` makes snapshots of the field's tones of them.
-
-    Attributes:
-        kind: `wav`, `npy` or `sio`.
-        path: of one file, whose channels are the field's sensors in their order.
-        sample_rate: Hz; may be left out where the file says it.
-        window_length, hop: samples of each Fourier transform, and from one to the next.
-        snapshots_per_step: J.
-        search_hz: how far from its nominal frequency a tone is looked for, Hz.
-        start_s, duration_s: part of the file, s; None goes on to its end.
-        truth: path of a table, see `torchdt.signals.truth`.
-        truth_path: without a table, the path of the scenario that the source takes from `start_s` on; without
-            either there is no truth.
-        truth_depth_m: depth that goes with a table of ranges alone.
-        static_copy: adds a standing source.
-    """
-
-    kind: str = "wav"
-    sample_rate: float | None = None
-    window_length: int = 4096
-    hop: int = 2048
-    snapshots_per_step: int = 3
-    search_hz: float = 1.0
-    start_s: float = 0.0
-    duration_s: float | None = None
-    truth: str | None = None
-    truth_path: str | None = None
-    truth_depth_m: float | None = None
-    static_copy: StaticCopySettings = dataclasses.field(default_factory=StaticCopySettings)
-
-    def __post_init__(self) -> None:
-        rate, duration = self.sample_rate, self.duration_s
-        for name, holds, expected in (
-            ("kind", self.kind in ("wav", "npy", "sio"), "wav, npy or sio"),
-            ("path", isinstance(self.path, str) and bool(self.path), "the path of one file"),
-            ("sample_rate", rate is None or 0 < rate < math.inf, "a positive number of Hz or null"),
-            ("start_s", 0 <= self.start_s < math.inf, "a number from 0 up"),
-            ("duration_s", duration is None or 0 < duration < math.inf, "a positive number or null"),
-        ):
-            require(holds, f"data.{name}", getattr(self, name), expected)
-
-
-@dataclass
-class TartSettings(DataSettings):
-    """Visibilities of a TART radio array, see `torchdt.scenario.tart`.
-
-    Attributes:
-        kind: `tart`.
-        path: of one file.
-        average: consecutive covariances that make one step.
-        standing: take out what stands still and is no sky, see `torchdt.scenario.tart_standing`.
-        effective_count: snapshots that a covariance counts as; None takes it from the misfit of point
-            sources, see `torchdt.scenario.tart_count`.
-    """
-
-    kind: str = "tart"
-    average: int = 10
-    standing: bool = True
-    effective_count: float | None = None
-
-    def __post_init__(self) -> None:
-        count = self.effective_count
-        for name, holds, expected in (
-            ("kind", self.kind == "tart", "tart"),
-            ("path", isinstance(self.path, str) and bool(self.path), "the path of one file"),
-            ("average", self.average >= 1, "a positive integer"),
-            ("effective_count", count is None or 1 <= count < math.inf, "a number from one up or null"),
-        ):
-            require(holds, f"data.{name}", getattr(self, name), expected)
-
-
-@dataclass
 class LoggingSettings:
     """What a run shows and writes beside its tables.
 
     Attributes:
         tensorboard: write event files.
+        interval: steps from one histogram of beliefs and picture of particles in the event files to the
+            next; None writes none.
         figures: write figures.
         surface_step: step whose estimates are drawn over the ambiguity surface.
         progress: show a progress bar on a terminal.
     """
 
     tensorboard: bool = True
+    interval: int | None = 50
     figures: bool = True
     surface_step: int = 200
     progress: bool = True
 
     def __post_init__(self) -> None:
+        positive = self.interval is None or self.interval >= 1
+        require(positive, "logging.interval", self.interval, "a positive integer or null")
         require(self.surface_step >= 0, "logging.surface_step", self.surface_step, "a step from 0 up")
 
 
@@ -170,6 +62,8 @@ class TrackSettings:
         workers: parts of the batch tracked at the same time, which share the threads; None makes one of each
             thread for batches of `MANY` sequences and more on a CPU.
         memory_gb: what tracking may take, 1e9 bytes; None allows half of what is free.
+        checkpoint_s: seconds between writing how far tracking has come, to go on from there; None writes
+            nothing.
     """
 
     scenario: ScenarioSettings = dataclasses.field(default_factory=ScenarioSettings)
@@ -186,6 +80,7 @@ class TrackSettings:
     threads: int | None = None
     workers: int | None = None
     memory_gb: float | None = None
+    checkpoint_s: float | None = 15.0
 
     def __post_init__(self) -> None:
         require(self.runs >= 1, "runs", self.runs, "a positive integer")
@@ -194,8 +89,9 @@ class TrackSettings:
         for name in ("threads", "workers"):
             value = getattr(self, name)
             require(value is None or value >= 1, name, value, "a positive integer or null")
-        enough = self.memory_gb is None or self.memory_gb > 0
-        require(enough, "memory_gb", self.memory_gb, "a positive number or null")
+        for name in ("memory_gb", "checkpoint_s"):
+            value = getattr(self, name)
+            require(value is None or value > 0, name, value, "a positive number or null")
         self.variant_configs()
 
     @property

@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from torchdt.errors import InputError, require
+from torchdt.experiment.data_settings import SignalSettings
 from torchdt.experiment.fields import build_field
-from torchdt.experiment.settings import SignalSettings, TrackSettings
+from torchdt.experiment.settings import TrackSettings
 from torchdt.scenario.recording import Recording, validate
 from torchdt.scenario.settings import ScenarioSettings
 from torchdt.scenario.simulate import position_along
@@ -28,7 +29,7 @@ def read_signals(settings: TrackSettings, data: SignalSettings) -> Recording:
     Raises:
         InputError: where files or settings do not make sense, or the file does not fit the field.
     """
-    path = Path(data.path)
+    path = Path(data.one_path)
     signal = READERS[data.kind](path)
     sample_rate = _sample_rate(signal, data)
     sensors = build_field(settings.field, torch.float64, "cpu").num_sensors

@@ -8,8 +8,9 @@ import torch
 from torchdt.detect.config import PursuitConfig
 from torchdt.detect.dictionary import build_dictionary
 from torchdt.detect.pursuit import MatchingPursuit
+from torchdt.experiment.data_settings import TartSettings
 from torchdt.experiment.fields import build_field
-from torchdt.experiment.settings import TartSettings, TrackSettings
+from torchdt.experiment.settings import TrackSettings
 from torchdt.model.region import Coordinate, Region
 from torchdt.scenario.recording import Recording
 from torchdt.scenario.tart import read_tart
@@ -31,7 +32,7 @@ def read_sky(settings: TrackSettings, data: TartSettings) -> Recording:
     Raises:
         InputError: where the file does not make sense.
     """
-    recording = read_tart(data.path, data.average)
+    recording = read_tart(data.one_path, data.average)
     assert recording.freqs is not None
     assert recording.sensor_positions is not None
     array = {"freqs": recording.freqs.tolist(), "sensor_positions": recording.sensor_positions.tolist()}

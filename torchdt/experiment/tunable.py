@@ -10,7 +10,13 @@ import torch
 from torch import Tensor
 
 from torchdt.errors import require
-from torchdt.experiment.build import build_region, build_tracking_field, recorded_target, simulate
+from torchdt.experiment.build import (
+    build_recording,
+    build_region,
+    build_tracking_field,
+    recorded_target,
+    simulate,
+)
 from torchdt.experiment.environment import waveguide_family
 from torchdt.experiment.quality import consecutive
 from torchdt.experiment.settings import TrackSettings
@@ -50,13 +56,19 @@ def gather(settings: TrackSettings, seeds: Sequence[int], paths: Sequence[str], 
         InputError: where a file does not make sense or the recordings do not fit together.
     """
     if paths:
-        recordings = [read_npz(Path(path)) for path in paths]
+        recordings = [_read(settings, path) for path in paths]
         number = sum(r.batch_size for r in recordings)
         seeds = range(settings.seed, settings.seed + number)
     else:
         groups = consecutive(seeds)
         recordings = [simulate(replace(settings, seed=group[0], runs=len(group))) for group in groups]
     return SequenceSet(*stack_recordings(recordings, pad), list(seeds))
+
+
+def _read(settings: TrackSettings, path: str) -> Recording:
+    if settings.data.kind == "simulated":
+        return read_npz(Path(path))
+    return build_recording(replace(settings, data=replace(settings.data, path=path)))
 
 
 class Problem(NamedTuple):
@@ -88,11 +100,11 @@ def build_problem(
     fields = [build_tracking_field(settings, s.recording) for s in sets]
     region = build_region(settings, settings.torch_dtype)
     target = recorded_target(settings, sets[0].recording)
-    defaults = _defaults(settings, target, fields[0])
+    defaults = _defaults(settings, target, fields[0], sets[0].recording.num_snapshots)
     hyperparameters = Hyperparameters(chosen, defaults)
     for name in chosen:
-        key, expected = f"hyperparameters.{name}", f"one of {sorted(defaults)} with this field"
-        require(name in defaults, key, "a quantity that the field does not have", expected)
+        key, expected = f"hyperparameters.{name}", f"one of {sorted(defaults)} with this field and data"
+        require(name in defaults, key, "a quantity that they do not have", expected)
     varied = None
     if any(name in ENVIRONMENT for name in chosen):
         start = {name: torch.as_tensor(defaults[name], dtype=torch.float64) for name in ENVIRONMENT}
@@ -118,10 +130,19 @@ def _constant(field: Field) -> FieldOf:
     return lambda values: field
 
 
-def _defaults(settings: TrackSettings, target: dict, field: Field) -> dict[str, Tensor | float]:
-    """All that can be tuned, with the values of the configuration, in float64."""
+def _defaults(
+    settings: TrackSettings, target: dict, field: Field, num_snapshots: float | None
+) -> dict[str, Tensor | float]:
+    """All that can be tuned, with the values of the configuration, in float64.
+
+    Args:
+        settings, target, field: of the tracker.
+        num_snapshots: nominal number behind each covariance; None for snapshots, which are not up for tuning.
+    """
     region = build_region(settings, torch.float64)
-    defaults: dict[str, Tensor | float] = dict(default_parameters(settings.direct, region)._asdict())
+    defaults: dict[str, Tensor | float] = dict(default_parameters(settings.direct, region).known())
+    if num_snapshots is not None:
+        defaults.setdefault("effective_count", num_snapshots)
     if hasattr(field, "incoherent"):
         share = settings.direct.mismatch_share or [SHARE_START] * field.num_tones
         defaults["mismatch_share"] = torch.tensor(share, dtype=torch.float64)

@@ -20,9 +20,9 @@ class TuneSettings(TrackSettings):
     Attributes:
         hyperparameters: `HyperparameterSettings` by name, or the values of their configuration.
         tuning: how.
-        train_seeds, heldout_seeds: of simulated sequences; `data`, `runs` and, here, `seed` do not matter.
-        train_paths, heldout_paths: `.npz` files instead; give both or none. The filter's seeds count from
-            `seed`.
+        train_seeds, heldout_seeds: of simulated sequences; `runs` and, here, `seed` do not matter.
+        train_paths, heldout_paths: files instead; give both or none. They are of the kind that `data` says,
+            `.npz` where it is simulated, and stand in for `data.path`. The filter's seeds count from `seed`.
         pad: let sequences have different lengths.
     """
 
@@ -41,7 +41,8 @@ class TuneSettings(TrackSettings):
             name: _checked(f"hyperparameters.{name}", value, HyperparameterSettings)
             for name, value in self.hyperparameters.items()
         }
-        require(self.data.kind == "simulated", "data", self.data.kind, "train_paths and heldout_paths")
+        known = self.data.kind == "simulated" or bool(self.train_paths)
+        require(known, "data", self.data.kind, "its files as train_paths and heldout_paths")
         require(
             self.variants is None, "variants", self.variants, "null: the search tries settings of its own"
         )

@@ -44,6 +44,7 @@ SUPPORTS = {
     "survival": UNIT,
     "mismatch_share": UNIT,
     "likelihood_power": UP_TO_ONE,
+    "effective_count": POSITIVE,
     "eof_coefficients": REAL,
     "tilt_deg": REAL,
     "water_depth_m": REAL,

@@ -54,6 +54,16 @@ class Measurement(NamedTuple):
             factor=self.factor * power.sqrt()[..., None, None], num_snapshots=self.num_snapshots * power
         )
 
+    def recounted(self, num_snapshots: Tensor) -> "Measurement":
+        """Sample covariances `S / J` as before, each of another number J; steps without data stay without.
+
+        Args:
+            num_snapshots: J > 0, real, broadcastable to `(*batch, I)`.
+        """
+        heard = self.num_snapshots > 0
+        ratio = num_snapshots / torch.where(heard, self.num_snapshots, 1.0)
+        return self.tempered(torch.where(heard, ratio, 0.0))
+
 
 def from_snapshots(snapshots: Tensor) -> Measurement:
     """Statistics of raw snapshots.

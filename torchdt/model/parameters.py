@@ -1,12 +1,13 @@
 """The numbers of the statistical model as tensors, so that a likelihood can be differentiated in them."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchdt.config import TrackerConfig
+from torchdt.errors import require
 from torchdt.model.region import Region, per_coordinate
 
 
@@ -22,6 +23,8 @@ class Parameters(NamedTuple):
         birth_mean: mu_B, mean number of new objects per step in the whole region.
         driving_variance: `(d,)` or `(*batch, d)`, variance of the driving noise, (unit / s^2)^2.
         likelihood_power: power to which the likelihood is raised in the update.
+        effective_count: J that every sample covariance counts as, in update and evidence; None leaves it to
+            the data, see `torchdt.model.wishart`.
     """
 
     power_shape: Tensor
@@ -30,12 +33,17 @@ class Parameters(NamedTuple):
     birth_mean: Tensor
     driving_variance: Tensor
     likelihood_power: Tensor
+    effective_count: Tensor | None = None
+
+    def known(self) -> dict[str, Tensor]:
+        """Those that have a value, by name."""
+        return {name: value for name, value in self._asdict().items() if value is not None}
 
     def select(self, sequences: slice) -> "Parameters":
         """Numbers of some sequences of a batch `(B,)`; a number that all share stays as it is."""
         shared = {name: int(name == "driving_variance") for name in self._fields}
         return Parameters(
-            *(v[sequences] if v.ndim > shared[name] else v for name, v in self._asdict().items())
+            **{name: v[sequences] if v.ndim > shared[name] else v for name, v in self.known().items()}
         )
 
 
@@ -51,10 +59,9 @@ def default_parameters(config: TrackerConfig, region: Region) -> Parameters:
         InputError: where `driving_variance` is not one number for each coordinate.
     """
     driving = per_coordinate(config.driving_variance, region.driving_variance, "tracker.driving_variance")
-    scalars = {
-        name: driving.new_tensor(getattr(config, name))
-        for name in Parameters._fields
-        if name != "driving_variance"
+    numbers = {name: getattr(config, name) for name in Parameters._fields if name != "driving_variance"}
+    scalars: dict[str, Any] = {
+        name: None if value is None else driving.new_tensor(value) for name, value in numbers.items()
     }
     return Parameters(**scalars, driving_variance=driving)
 
@@ -66,8 +73,8 @@ def with_values(parameters: Parameters, values: Mapping[str, Tensor]) -> Paramet
         parameters: of the filter.
         values: by name, of shapes as in `Parameters`; names that are no field of it are left out.
     """
-    named = {name: values[name].to(old) for name, old in parameters._asdict().items() if name in values}
-    return parameters._replace(**named)
+    like = parameters.survival
+    return parameters._replace(**{n: values[n].to(like) for n in Parameters._fields if n in values})
 
 
 def stack_parameters(settings: Sequence[Parameters], num_sequences: int) -> Parameters:
@@ -79,7 +86,14 @@ def stack_parameters(settings: Sequence[Parameters], num_sequences: int) -> Para
 
     Returns:
         Parameters of batch `(V * B,)`: those of setting v at `v * B` up to `v * B + B - 1`.
+
+    Raises:
+        InputError: where some settings have an `effective_count` and others leave it to the data.
     """
-    return Parameters(
-        *(torch.stack(values).repeat_interleave(num_sequences, 0) for values in zip(*settings, strict=True))
-    )
+    stacked = []
+    for name, values in zip(Parameters._fields, zip(*settings, strict=True), strict=True):
+        known = [value for value in values if value is not None]
+        found = f"{len(known)} of {len(values)} settings with a value"
+        require(len(known) in (0, len(values)), name, found, "one in each or in none")
+        stacked.append(torch.stack(known).repeat_interleave(num_sequences, 0) if known else None)
+    return Parameters._make(stacked)
