@@ -1,4 +1,4 @@
-"""What the README says can be done can be done."""
+"""What the README and its pages say can be done can be done."""
 
 import re
 import shlex
@@ -8,25 +8,39 @@ import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_module
+from oracles.scripts import load
 
 from torchdt.scenario.npz import write_npz
 
 ROOT = Path(__file__).parents[2]
-README = (ROOT / "README.md").read_text()
+README = ROOT / "README.md"
+PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
+CONFIGURED = ("track", "tune", "compare", "quality", "tart")
 
 
-def blocks(language):
-    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+def blocks(language, page):
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(), re.DOTALL)
 
 
-COMMANDS = [line for block in blocks("bash") for line in block.splitlines()]
-JOBS = [
-    shlex.split(line, comments=True) for line in COMMANDS if line.startswith("python experiments/track.py")
-]
+def commands(page):
+    """Lines of a page, each with those that go on from it."""
+    return [line for block in blocks("bash", page) for line in re.sub(r"\\\n\s*", "", block).splitlines()]
+
+
+def jobs():
+    """Words of the lines that start an experiment, each once."""
+    lines = {line for page in PAGES for line in commands(page) if line.startswith("python experiments/")}
+    found = [shlex.split(line, comments=True) for line in sorted(lines)]
+    return [
+        words for words in found if Path(words[1]).stem in CONFIGURED and "--config-dir" not in str(words)
+    ]
+
+
+JOBS = jobs()
 
 
 def test_python_example(recording, settings, tmp_path, monkeypatch):
-    (example,) = blocks("python")
+    (example,) = blocks("python", README)
     monkeypatch.chdir(tmp_path)
     one = recording.snapshots[:1]
     write_npz("recording.npz", type(recording)(step_s=recording.step_s, snapshots=one))
@@ -40,34 +54,46 @@ def test_python_example(recording, settings, tmp_path, monkeypatch):
 
 
 def test_jobs_are_found():
-    assert len(JOBS) >= 5
+    assert {Path(job[1]).stem for job in JOBS} == set(CONFIGURED)
+    assert len(JOBS) >= 30
 
 
 @pytest.mark.parametrize("job", JOBS, ids=" ".join)
 def test_overrides_compose(job):
+    script = Path(job[1]).stem
+    load(script)  # it registers the schema of its configuration
     overrides = [word for word in job[2:] if not word.startswith("-")]
     if "-m" in job:
         overrides = [word.partition(",")[0] for word in overrides]
     with initialize_config_module("torchdt.conf", version_base="1.3"):
-        assert compose("track", overrides=overrides).runs >= 1
+        assert compose(script, overrides=overrides, return_hydra_config=True).hydra.job.chdir is False
 
 
 def test_two_commands():
-    first, second = (line for line in COMMANDS if line.startswith("python3"))
+    first, second = (line for line in commands(README) if line.startswith("python3"))
     assert first.endswith("&& python experiments/track.py")
     assert second.endswith("&& python -m pytest")
     assert "python -m pytest\n" in (ROOT / ".ci" / "run").read_text()
 
 
-def test_links_lead_somewhere():
-    links = [link for link in re.findall(r"\]\(([^)]+)\)", README) if not link.startswith("http")]
-    assert len(links) >= 5
-    assert [link for link in links if not (ROOT / link).exists()] == []
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text())
+    inside = [link for link in links if not link.startswith("http")]
+    assert len(inside) >= 5 or page != README
+    assert [link for link in inside if not (page.parent / link).exists()] == []
+
+
+def test_it_is_read_in_three_minutes():
+    """Prose at 300 words a minute, code and tables beside it at a glance."""
+    prose = re.sub(r"```.*?```|^\|.*?$", "", README.read_text(), flags=re.DOTALL | re.MULTILINE)
+    assert len(prose.split()) <= 900
 
 
 def test_every_folder_is_on_the_map():
+    text = (ROOT / "docs" / "how_it_works.md").read_text()
     folders = {path.parent for path in (ROOT / "torchdt").glob("*/*.py")}
-    assert [str(folder) for folder in folders if f"`torchdt/{folder.name}`" not in README] == []
+    assert [str(folder) for folder in folders if f"`torchdt/{folder.name}`" not in text] == []
 
 
 def test_measured_default_is_what_a_run_of_the_default_is_about(settings):
