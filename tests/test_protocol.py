@@ -82,7 +82,10 @@ def test_a_stream_keeps_nothing(kind, measurement):
 def test_a_run_reports_every_step(kind, measurement):
     reported = []
     history = build(kind).run(
-        measurement, data_priors(measurement), streams(), lambda k, estimate: reported.append((k, estimate))
+        measurement,
+        data_priors(measurement),
+        streams(),
+        lambda k, _, estimate: reported.append((k, estimate)),
     )
     assert [k for k, _ in reported] == list(range(20))
     assert all(torch.equal(estimate.label, history.label[:, k]) for k, estimate in reported)

@@ -153,7 +153,7 @@ def test_without_a_batch_dimension(mixed):
 
 def test_steps_in_a_loop_equal_a_run(mixed):
     reported = []
-    expected = run(mixed[:2], [1, 2], on_step=lambda k, estimate: reported.append((k, estimate.noise)))
+    expected = run(mixed[:2], [1, 2], on_step=lambda k, _, estimate: reported.append((k, estimate.noise)))
     tracker, measurement = make_tracker(), from_snapshots(mixed[:2])
     priors, streams = data_priors(measurement), RandomStreams.from_seeds([1, 2], (2,), torch.float64)
     state, estimates = tracker.init(priors), []

@@ -168,7 +168,7 @@ def test_neither_chunks_nor_workers_change_the_tracks(five, own_fields, dtype, f
         five,
         tracker,
         SEEDS,
-        lambda step, estimate, sequences: steps.append((sequences.start, sequences.stop, step)),
+        lambda step, _, estimate, sequences: steps.append((sequences.start, sequences.stop, step)),
         memory_gb=gigabytes(tracker, five, at_once),
         workers=workers,
     )

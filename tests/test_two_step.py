@@ -141,7 +141,7 @@ def test_steps_in_a_loop_equal_a_run(mixed, detector):
     priors = data_priors(measurement)
     reported: list[int] = []
     streams = RandomStreams.from_seeds([1, 2], (2,), torch.float64)
-    expected = tracker.run(measurement, priors, streams, lambda k, _: reported.append(k))
+    expected = tracker.run(measurement, priors, streams, lambda k, *_: reported.append(k))
     streams, state, steps = RandomStreams.from_seeds([1, 2], (2,), torch.float64), tracker.init(priors), []
     for k in range(5):
         state, estimate = tracker.step(state, measurement.at(k), priors, streams)

@@ -1,10 +1,12 @@
-"""Files that are either complete or absent."""
+"""Files that are either complete or absent, and errors that say why one could not be written."""
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
+
+from torchdt.errors import StorageError
 
 
 @contextmanager
@@ -16,12 +18,31 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
     Yields:
         The open binary file.
+
+    Raises:
+        StorageError: where it cannot be written; what was there before stays.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with storing(path):
+        try:
+            with open(temporary, "wb") as file:
+                yield file
+                # Some storage says only now that it is full; and a name must not come before its content.
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        finally:
+            with suppress(OSError):  # or it would hide the first error
+                temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def storing(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Whatever the operating system refuses in the block becomes a `StorageError` of this file or folder."""
     try:
-        with temporary.open("wb") as file:
-            yield file
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+        yield
+    except StorageError:
+        raise
+    except OSError as error:
+        raise StorageError.of_path(path, error) from error

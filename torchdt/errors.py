@@ -1,4 +1,4 @@
-"""The error that all bad input raises."""
+"""The errors that all bad input, and all storage that fails, raise."""
 
 from typing import Self
 
@@ -16,7 +16,7 @@ class InputError(ValueError):
             expected: what would have been right, in words.
 
         Returns:
-            An error that reads `key 'snapshots': found ..., expected ...`.
+            An error that reads ``key 'snapshots': found ..., expected ...``.
         """
         return cls(f"key '{key}': found {found}, expected {expected}")
 
@@ -24,6 +24,15 @@ class InputError(ValueError):
     def of_path(cls, path: object, found: object, expected: object) -> Self:
         """Build the error of a file as a whole: `path 'x.npz': found ..., expected ...`."""
         return cls(f"path '{path}': found {found}, expected {expected}")
+
+
+class StorageError(OSError):
+    """A file or folder that cannot be written; what was there before is as it was."""
+
+    @classmethod
+    def of_path(cls, path: object, error: OSError) -> Self:
+        """Build the error of one file: `cannot write x.csv: No space left on device`."""
+        return cls(f"cannot write {path}: {error.strerror or error}")
 
 
 def require(holds: bool, key: str, found: object, expected: object) -> None:

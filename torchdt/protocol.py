@@ -1,7 +1,7 @@
 """What every tracker offers."""
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Protocol, Self, TypeVar
+from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 
 import torch
 
@@ -17,6 +17,23 @@ from torchdt.random import RandomStreams
 from torchdt.scenario.recording import Recording
 
 State = TypeVar("State")
+
+
+class Past(NamedTuple, Generic[State]):
+    """What a run has done so far.
+
+    Attributes:
+        state: after the last step.
+        history: estimates of all steps up to it, `(*batch, k, ...)`.
+    """
+
+    state: State
+    history: TrackHistory
+
+    def steps(self, batch_dims: int) -> list[TrackHistory]:
+        """The estimates of each step, without the time dimension, which comes after `batch_dims` others."""
+        parts = (field.unbind(batch_dims) for field in self.history)
+        return [TrackHistory(*step) for step in zip(*parts, strict=True)]
 
 
 class Tracker(Protocol[State]):
@@ -84,7 +101,8 @@ class Tracker(Protocol[State]):
         measurement: Measurement,
         priors: Priors,
         streams: RandomStreams,
-        on_step: Callable[[int, TrackHistory], None] | None = None,
+        on_step: Callable[[int, State, TrackHistory], None] | None = None,
+        past: Past[State] | None = None,
     ) -> TrackHistory:
         """Track whole sequences.
 
@@ -92,13 +110,17 @@ class Tracker(Protocol[State]):
             measurement: statistics of batch `(*batch, K)`.
             priors: limits of the priors, batch `(*batch,)`.
             streams: random numbers of batch `(*batch,)`.
-            on_step: called after each step with its index and the estimates of that step.
+            on_step: called after each step with its index, the state, and the estimates of that step.
+            past: what was done of these sequences, to go on from; the streams are where that ended.
+
+        Returns:
+            History of batch `(*batch,)` and K steps, those of the past among them.
         """
         batch_dims = priors.noise_max.ndim - 1
-        measurements = map(measurement.at, range(measurement.num_snapshots.shape[batch_dims]))
-        steps = []
-        for k, estimate in enumerate(self.stream(measurements, priors, streams)):
+        state, steps = (self.init(priors), []) if past is None else (past.state, past.steps(batch_dims))
+        for k in range(len(steps), measurement.num_snapshots.shape[batch_dims]):
+            state, estimate = self.step(state, measurement.at(k), priors, streams)
             steps.append(estimate)
             if on_step is not None:
-                on_step(k, estimate)
+                on_step(k, state, estimate)
         return TrackHistory(*(torch.stack(parts, batch_dims) for parts in zip(*steps, strict=True)))

@@ -1,7 +1,9 @@
 """From a recording in any units to tracks in the same units."""
 
 import hashlib
+import logging
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import torch
@@ -10,19 +12,24 @@ from torch import Generator
 from torchdt.chunks import MOST_ON_CPU, bytes_per_sequence, free_memory_gb, plan, run_chunks
 from torchdt.errors import require
 from torchdt.history import TrackHistory
+from torchdt.keeper import ChunkKeeper, Keeper
+from torchdt.prepare import Prepared
 from torchdt.protocol import Tracker
 from torchdt.random import RandomStreams
 from torchdt.scenario.recording import Recording
+
+log = logging.getLogger(__name__)
 
 
 def track(
     recording: Recording,
     tracker: Tracker[Any],
     seeds: Sequence[int],
-    on_step: Callable[[int, TrackHistory, slice], None] | None = None,
+    on_step: Callable[[int, Any, TrackHistory, slice], None] | None = None,
     *,
     memory_gb: float | None = None,
     workers: int = 1,
+    keep: Keeper | None = None,
 ) -> TrackHistory:
     """Track every sequence of a recording, without gradients, in chunks that the memory can hold.
 
@@ -32,19 +39,24 @@ def track(
         recording: B sequences.
         tracker: of any kind.
         seeds: one per sequence.
-        on_step: called after each step with its index, the estimates, and the sequences that these are of;
-            by several threads at once where there are several workers.
+        on_step: called after each step with its index, the tracker's state, in which data are of order one,
+            the estimates in units of the recording, and the sequences that these are of; by several threads
+            at once where there are several workers. Sequences that go on from what was kept begin with their
+            last kept step.
         memory_gb: what all chunks that are tracked at the same time may take, 1e9 bytes; None allows half of
             what is free. It is an estimate that is kept, see `bytes_per_sequence`.
         workers: chunks tracked at the same time; they share the threads of the linear algebra.
+        keep: keeps what was done, and knows what another process did: chunks and estimates are then those
+            of a run that was never interrupted.
 
     Returns:
         History of batch `(B,)` with powers, noise and evidence in units of the recording.
 
     Raises:
-        InputError: where the recording does not fit the field, there is not one seed for each sequence, or
-            `memory_gb` or `workers` is not positive.
+        InputError: where the recording does not fit the field, there is not one seed for each sequence,
+            `memory_gb` or `workers` is not positive, or what was kept is of another run.
         NumericalError: where the filter broke down, naming the sequences of the chunk.
+        StorageError: where what is done cannot be kept.
     """
     number = recording.batch_size
     require(len(seeds) == number, "seeds", len(seeds), f"{number}, one for each sequence")
@@ -53,14 +65,19 @@ def track(
         memory_gb = free_memory_gb(device) / 2
     most = MOST_ON_CPU if device.type == "cpu" else None
     chunks = plan(number, bytes_per_sequence(tracker, recording), memory_gb, workers, most)
+    if keep is not None:
+        chunks = keep.plan(chunks)
+    shape = number, recording.num_steps, len(chunks), min(workers, number), memory_gb
+    log.debug("%d sequences of %d steps in %d chunks, %d at a time, within %.3g GB", *shape)
 
     def track_some(sequences: slice, check: Callable[[], None]) -> TrackHistory:
-        def report(step: int, estimate: TrackHistory) -> None:
+        def report(step: int, state: Any, estimate: TrackHistory) -> None:
             check()
             if on_step is not None:
-                on_step(step, estimate, sequences)
+                on_step(step, state, estimate, sequences)
 
-        return _track_chunk(recording.select(sequences), tracker.select(sequences), seeds[sequences], report)
+        some = recording.select(sequences), tracker.select(sequences), seeds[sequences]
+        return _track_chunk(*some, report, None if keep is None else partial(keep.of_chunk, sequences))
 
     parts = run_chunks(track_some, chunks, workers)
     return TrackHistory(*(torch.cat(fields) for fields in zip(*parts, strict=True)))
@@ -70,7 +87,8 @@ def _track_chunk(
     recording: Recording,
     tracker: Tracker[Any],
     seeds: Sequence[int],
-    on_step: Callable[[int, TrackHistory], None],
+    on_step: Callable[[int, Any, TrackHistory], None],
+    keep: Callable[[RandomStreams, int], ChunkKeeper] | None,
 ) -> TrackHistory:
     region = tracker.region
     prepared = tracker.prepare(recording)
@@ -78,19 +96,50 @@ def _track_chunk(
     streams = RandomStreams.from_seeds(
         filter_seeds, (recording.batch_size,), region.low.dtype, region.low.device
     )
+    units = _Units(prepared)
+    keeper = None if keep is None else keep(streams, recording.num_steps)
+
+    def report(step: int, state: Any, estimate: TrackHistory) -> None:
+        on_step(step, state, units.of_step(estimate, step))
+
+    def report_and_keep(step: int, state: Any, estimate: TrackHistory) -> None:
+        report(step, state, estimate)
+        if keeper is not None:
+            keeper(step, state, estimate)
+
     with torch.inference_mode():  # of the thread that calls
-        history = tracker.run(prepared.measurement, prepared.priors, streams, on_step)
-    unit = prepared.scale.to(history.noise.device)
-    square = unit.square().to(history.noise.dtype)
-    measurement = prepared.measurement
-    # The density of complex data z = unit * z' is that of z' over unit^2 for every complex entry.
-    entries = (measurement.num_snapshots * measurement.present.sum(-1)).sum(-1)
-    jacobian = 2 * entries.double() * unit.log()[:, None]
-    return history._replace(
-        power=history.power * square[:, None, None, None],
-        noise=history.noise * square[:, None, None],
-        log_evidence=history.log_evidence.double() - jacobian,
-    )
+        past = None if keeper is None else keeper.past(tracker.init(prepared.priors))
+        if past is not None:
+            done = past.steps(1)
+            report(len(done) - 1, past.state, done[-1])
+        history = tracker.run(prepared.measurement, prepared.priors, streams, report_and_keep, past)
+    return units.of(history)
+
+
+class _Units:
+    """Brings estimates from data of order one, batch `(B,)`, back to the units of the recording."""
+
+    def __init__(self, prepared: Prepared) -> None:
+        priors, measurement = prepared.priors, prepared.measurement
+        unit = prepared.scale.to(priors.noise_max.device)
+        self.square = unit.square().to(priors.noise_max.dtype)
+        # The density of complex data z = unit * z' is that of z' over unit^2 for every complex entry.
+        entries = (measurement.num_snapshots * measurement.present.sum(-1)).sum(-1)
+        self.jacobian = 2 * entries.double() * unit.log()[:, None]
+
+    def of(self, history: TrackHistory, first: int = 0) -> TrackHistory:
+        """Scale the history of some consecutive steps."""
+        last = first + history.log_evidence.shape[1]
+        return history._replace(
+            power=history.power * self.square[:, None, None, None],
+            noise=history.noise * self.square[:, None, None],
+            log_evidence=history.log_evidence.double() - self.jacobian[:, first:last],
+        )
+
+    def of_step(self, estimate: TrackHistory, step: int) -> TrackHistory:
+        """Scale the estimates of one step, which have no time dimension."""
+        scaled = self.of(TrackHistory(*(part[:, None] for part in estimate)), step)
+        return TrackHistory(*(part[:, 0] for part in scaled))
 
 
 def derive_seed(seed: int, purpose: str) -> int:

@@ -3,7 +3,15 @@ import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-FILES = {"metrics.json", "gospa.csv", "tracks.csv", "manifest.json", "figures", "tensorboard"}
+FILES = {
+    "metrics.json",
+    "gospa.csv",
+    "tracks.csv",
+    "manifest.json",
+    "figures",
+    "tensorboard",
+    "checkpoint.pt",
+}
 HYDRA = {".hydra", "track.log"}
 LINE_ARRAY_COLUMNS = ["bearing_deg", "bearing_rate_degps"]
 WAVEGUIDE_COLUMNS = ["range_m", "depth_m", "range_rate_mps", "depth_rate_mps"]
@@ -126,8 +134,9 @@ def test_event_tags(events):
     assert {f"gospa/{part}" for part in ("total", "localisation", "missed", "false")} <= scalars
     assert {"count/declared", "count/true", "log_evidence", "noise_db/tone_1", "noise_db/tone_2"} <= scalars
     assert {"existence/label_01", "effective_sample_size/label_01", "power_db/label_01/tone_2"} <= scalars
-    assert set(tags["images"]) == {"figures/tracks", "figures/gospa", "figures/surface"}
-    assert tags["tensors"] == ["config/text_summary"]
+    pictures = {f"figures/{name}" for name in ("tracks", "gospa", "surface")}
+    assert set(tags["images"]) == pictures | {"belief/particles"}
+    assert set(tags["tensors"]) == {"config/text_summary", "custom_scalars__config__"}
 
 
 def test_closing_table_and_directory(run):

@@ -60,4 +60,4 @@ def test_memory_and_workers_reach_the_tracker(monkeypatch):
         batch_size = 2
 
     track_in_chunks(TrackSettings(memory_gb=0.5, workers=3), Recording(), None, [0, 1])
-    assert found == {"memory_gb": 0.5, "workers": 3}
+    assert found == {"memory_gb": 0.5, "workers": 3, "keep": None}

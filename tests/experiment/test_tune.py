@@ -210,7 +210,6 @@ def test_interrupted_run_goes_on(run, tmp_path):
 
 def test_killed_run_goes_on(run, tmp_path):
     count = random.SystemRandom().randint(2, 5)
-    print(f"killed in checkpoint {count}")
     places = [FOLDER / "tune.py", *LINE, *SHORT, f"hydra.run.dir={tmp_path}"]
     environment = os.environ | {"OMP_NUM_THREADS": str(torch.get_num_threads())}  # rounds alike
     command = [sys.executable, "-c", KILLED, str(count), *places]
@@ -219,8 +218,8 @@ def test_killed_run_goes_on(run, tmp_path):
     assert len(torch.load(tmp_path / "checkpoint.pt", weights_only=True)["content"]["records"]) == count - 1
     resumed = tune(tmp_path, "logging=quiet")
     assert resumed.status == 0, resumed.err
-    assert resumed.rows() == run.rows()
-    assert resumed.json() == run.json()
+    assert resumed.rows() == run.rows(), f"killed in checkpoint {count}"
+    assert resumed.json() == run.json(), f"killed in checkpoint {count}"
 
 
 def test_checkpoint_of_another_configuration(run):

@@ -3,8 +3,10 @@ import torch
 
 from torchdt.history import TrackHistory
 from torchdt.metrics import gospa
+from torchdt.state import Noise, Objects, TrackerState
 
 B, K, N, I, L = 2, 6, 3, 2, 2  # noqa: E741
+P, G = 40, 3
 STEP_S = 4.096
 
 
@@ -49,3 +51,24 @@ def history():
 @pytest.fixture
 def score(history, truth):
     return gospa(history.position, history.declared, truth, ~truth.isnan().any(-1), cutoff=200.0)
+
+
+@pytest.fixture
+def state(history):
+    """After step 2 of run 1, of a tracker whose unit of power is a hundred of the recording's."""
+    estimate = history.select(1).select(2)
+    offset = torch.randn(N, P, 4, generator=torch.Generator().manual_seed(0)) * torch.tensor(
+        [2.0, 1, 0.1, 0.1]
+    )
+    shape = torch.tensor([0.5, 1.0, 2.0])
+    weight = torch.tensor([0.4, 0.4, 0.2])  # the mean of the shape is one
+    objects = Objects(
+        state=estimate.state[:, None] + offset,
+        log_weight=torch.rand(N, P, generator=torch.Generator().manual_seed(1)).log_softmax(-1),
+        power=estimate.power[..., None] / 100 * shape,
+        log_power_weight=weight.log().expand(N, I, G),
+        log_odds=estimate.existence.logit(),
+        label=estimate.label,
+    )
+    noise = Noise(torch.ones(I, 1), torch.zeros(I, 1))
+    return TrackerState(objects, noise, torch.tensor(13))

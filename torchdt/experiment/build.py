@@ -42,13 +42,15 @@ def build_recording(settings: TrackSettings) -> Recording:
         InputError: where a file or the scenario does not make sense.
     """
     if settings.data.kind == "simulated":
-        return simulate(settings)
-    if isinstance(settings.data, SignalSettings):
+        recording = simulate(settings)
+    elif isinstance(settings.data, SignalSettings):
         recording = read_signals(settings, settings.data)
     elif isinstance(settings.data, TartSettings):
         recording = read_sky(settings, settings.data)
     else:
         recording = read_recordings(settings.data.paths)
+    size = recording.batch_size, recording.num_steps, recording.num_tones, recording.num_sensors
+    log.info("%s: sequences %d, steps %d, tones %d, sensors %d", recording.name or "recording", *size)
     summary = recording.missing_summary()
     if summary.num_missing:
         log.warning(

@@ -18,17 +18,17 @@ from rich.console import Console
 from torch import Tensor
 
 from torchdt.detect.dictionary import build_dictionary
-from torchdt.errors import require
+from torchdt.errors import StorageError, require
 from torchdt.experiment.build import build_region, build_tracker, build_tracking_field, simulate
 from torchdt.experiment.figures import ambiguity_surface, axis_of
+from torchdt.experiment.outcomes import Outcome, load_outcomes, save_outcomes
 from torchdt.experiment.parallel import set_threads, track_in_chunks
 from torchdt.experiment.quality import SuiteSettings, compose_track, confidence, one_line, score
+from torchdt.experiment.score import score_history
 from torchdt.experiment.settings import TrackSettings
-from torchdt.experiment.track import score_history
 from torchdt.field.base import Field
 from torchdt.field.stacked import select_field
 from torchdt.history import TrackHistory
-from torchdt.metrics import Gospa
 from torchdt.model.region import Region
 from torchdt.prepare import prepare
 from torchdt.report.compare_tables import (
@@ -40,7 +40,7 @@ from torchdt.report.compare_tables import (
 )
 from torchdt.report.comparison import gospa_comparison_figure, trajectory_figure
 from torchdt.report.figures import surface_figure
-from torchdt.report.files import manifest, write_json
+from torchdt.report.files import manifest, write_figures, write_json
 from torchdt.report.quality import Quality
 from torchdt.scenario.recording import Recording
 from torchdt.scenario.visibility import hidden_steps
@@ -99,54 +99,53 @@ class Stage(NamedTuple):
     surface: tuple[Tensor, list[Tensor]] | None
 
 
-class Outcome(NamedTuple):
-    """What one tracker made of a scenario.
-
-    Attributes:
-        quality: scores of all runs.
-        gospa: `(B, K)`.
-        estimates: `(N, d)` declared positions of the first run at the step shown over the surface.
-    """
-
-    quality: Quality
-    gospa: Gospa
-    estimates: Tensor
-
-
 def run_compare(config: DictConfig) -> list[Comparison]:
     """Track and score every scenario with every tracker, in Hydra's run directory.
 
     `compare.csv` and `compare.json` grow by a row for each; `<scenario>/` holds `gospa.csv`, `figures/` and
-    `tensorboard/<tracker>/`.
+    `tensorboard/<tracker>/`. In the directory of an interrupted run it goes on: rows that are done are not
+    computed again, the interrupted one starts anew, and those that failed are tried again.
 
     Returns:
         One row per scenario and tracker. What fails leaves its error in its row, and the others go on.
 
     Raises:
-        InputError: where the configuration of the suite does not make sense.
+        InputError: where the configuration of the suite does not make sense, or the directory holds another
+            run, whose results then stay as they are.
+        StorageError: where something cannot be written; the same command goes on when it can be.
     """
     settings = OmegaConf.to_object(config)
     assert isinstance(settings, CompareSettings)
     directory = Path(HydraConfig.get().runtime.output_dir)
-    write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), settings.seed))
+    plain = dataclasses.asdict(settings)
+    fingerprint = {key: value for key, value in plain.items() if key != "tensorboard"}
+    done = load_outcomes(directory / "checkpoint.pt", fingerprint)
+    write_json(directory / "manifest.json", manifest(plain, settings.seed))
     rows: list[Comparison] = []
     for scenario in settings.suite:
         stage: Stage | None = None
-        outcomes: dict[str, Outcome] = {}
+        outcomes = done.setdefault(scenario, {})
         for name in settings.trackers:
             row = Comparison(scenario, tracker=name)
             try:
-                track_settings = compose_settings(
-                    scenario, name, settings.overrides, settings.seed, settings.runs
-                )
-                stage = stage or set_stage(track_settings, settings)
-                outcomes[name] = outcome = assess(scenario, stage, track_settings, settings)
-                first = outcomes.get(settings.trackers[0])
-                row = beside(name, outcome.quality, first and first.quality)
+                if name not in outcomes:
+                    track_settings = compose_settings(
+                        scenario, name, settings.overrides, settings.seed, settings.runs
+                    )
+                    stage = stage or set_stage(track_settings, settings)
+                    outcome = assess(scenario, stage, track_settings, settings)
+                    if settings.tensorboard:
+                        write_events(directory / scenario / "tensorboard" / name, outcome.gospa)
+                    found = {**outcomes, name: outcome}
+                    ordered = {tracker: found[tracker] for tracker in settings.trackers if tracker in found}
+                    write_outcomes(directory / scenario, stage, ordered)
+                    outcomes[name] = outcome
+                    save_outcomes(directory / "checkpoint.pt", fingerprint, done)
+                quality, first = outcomes[name].quality, outcomes.get(settings.trackers[0])
+                row = beside(name, quality, first and first.quality)
                 log.info("%s, %s: GOSPA %.2f in %.1f s", scenario, name, row.gospa, row.seconds)
-                if settings.tensorboard:
-                    write_events(directory / scenario / "tensorboard" / name, outcome.gospa)
-                write_outcomes(directory / scenario, stage, outcomes)
+            except StorageError:
+                raise
             except Exception as error:
                 log.exception("%s, %s failed", scenario, name)
                 row = dataclasses.replace(row, error=one_line(error))
@@ -220,10 +219,8 @@ def beside(tracker: str, quality: Quality, first: Quality | None) -> Comparison:
 
 def write_outcomes(directory: Path, stage: Stage, outcomes: Mapping[str, Outcome]) -> None:
     """Replace the table and the figures of one scenario in its directory, made if absent."""
-    (directory / "figures").mkdir(parents=True, exist_ok=True)
+    write_figures(directory / "figures", draw_comparison(stage, outcomes))
     write_gospa_table(directory / "gospa.csv", {name: o.gospa for name, o in outcomes.items()})
-    for name, figure in draw_comparison(stage, outcomes).items():
-        figure.savefig(directory / "figures" / f"{name}.png", dpi=150)
 
 
 def draw_comparison(stage: Stage, outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:

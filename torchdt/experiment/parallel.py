@@ -7,6 +7,7 @@ import torch
 
 from torchdt.experiment.settings import MANY, TrackSettings
 from torchdt.history import TrackHistory
+from torchdt.keeper import Keeper
 from torchdt.protocol import Tracker
 from torchdt.scenario.recording import Recording
 from torchdt.tracking import track
@@ -35,8 +36,9 @@ def track_in_chunks(
     recording: Recording,
     tracker: Tracker[Any],
     seeds: Sequence[int],
-    on_step: Callable[[int, TrackHistory, slice], None] | None = None,
+    on_step: Callable[[int, Any, TrackHistory, slice], None] | None = None,
+    keep: Keeper | None = None,
 ) -> TrackHistory:
     """Track with the workers and the memory of the settings, see `torchdt.tracking.track`."""
     workers = num_workers(settings, recording.batch_size)
-    return track(recording, tracker, seeds, on_step, memory_gb=settings.memory_gb, workers=workers)
+    return track(recording, tracker, seeds, on_step, memory_gb=settings.memory_gb, workers=workers, keep=keep)

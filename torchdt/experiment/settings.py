@@ -62,8 +62,8 @@ class TrackSettings:
         workers: parts of the batch tracked at the same time, which share the threads; None makes one of each
             thread for batches of `MANY` sequences and more on a CPU.
         memory_gb: what tracking may take, 1e9 bytes; None allows half of what is free.
-        checkpoint_s: seconds between writing how far tracking has come, to go on from there; None writes
-            nothing.
+        checkpoint_s: seconds between writing how far `experiments/track.py` has come, to go on from there;
+            None writes nothing.
     """
 
     scenario: ScenarioSettings = dataclasses.field(default_factory=ScenarioSettings)

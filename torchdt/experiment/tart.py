@@ -14,12 +14,20 @@ from rich.console import Console
 from torchdt.detect.points import Points
 from torchdt.errors import require
 from torchdt.experiment.build import build_recording, build_tracker, build_tracking_field
+from torchdt.experiment.data_settings import TartSettings
 from torchdt.experiment.parallel import set_threads, track_in_chunks
-from torchdt.experiment.settings import TartSettings, TrackSettings, settings_of
-from torchdt.experiment.track import progress_bar
+from torchdt.experiment.progress import track_progress
+from torchdt.experiment.settings import TrackSettings, settings_of
 from torchdt.history import TrackHistory
 from torchdt.metrics.tart import SkyScore, sky_gospa, sky_score
-from torchdt.report.files import manifest, metrics_summary, write_gospa_csv, write_json, write_tracks_csv
+from torchdt.report.files import (
+    manifest,
+    metrics_summary,
+    write_figures,
+    write_gospa_csv,
+    write_json,
+    write_tracks_csv,
+)
 from torchdt.report.tart import print_sky, sky_figure, write_sky_csv
 from torchdt.scenario.recording import Recording
 from torchdt.scenario.tart import LOWEST
@@ -61,7 +69,7 @@ def run_tart(config: DictConfig) -> dict[str, SkyScore]:
     field = build_tracking_field(settings, recording)
     tracker = build_tracker(settings, recording, field)
     start = time.perf_counter()
-    with progress_bar(recording, settings, settings.logging.progress) as on_step:
+    with track_progress(recording, settings) as on_step:
         history = track_in_chunks(settings, recording, tracker, [settings.seed], on_step)
     seconds = time.perf_counter() - start
     other = dataclasses.replace(settings, tracker=settings.conventional)
@@ -111,9 +119,7 @@ def write_results(
     write_gospa_csv(directory / "gospa.csv", gospa)
     write_tracks_csv(directory / "tracks.csv", history, recording.step_s, columns)
     if settings.logging.figures:
-        (directory / "figures").mkdir(exist_ok=True)
-        figure = sky_figure(history.select(0), recording.truth[0])
-        figure.savefig(directory / "figures" / "sky.png", dpi=150)
+        write_figures(directory / "figures", {"sky": sky_figure(history.select(0), recording.truth[0])})
 
 
 def _score_points(points: Points, recording: Recording) -> SkyScore:

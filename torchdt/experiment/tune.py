@@ -3,28 +3,26 @@
 import contextlib
 import dataclasses
 import logging
-import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import torch
 from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 from omegaconf import DictConfig
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
+from torchdt.experiment.progress import tune_progress
+from torchdt.experiment.resume import fingerprint_of
+from torchdt.experiment.score import score_history
 from torchdt.experiment.settings import settings_of
-from torchdt.experiment.track import score_history
 from torchdt.experiment.tunable import SequenceSet, build_problem, gather
 from torchdt.experiment.tune_settings import TuneSettings
 from torchdt.model.hyperparameters import Hyperparameters
 from torchdt.prepare import prepare
-from torchdt.report.files import manifest, write_json
+from torchdt.report.files import manifest, write_figures, write_json
+from torchdt.report.hparams import row_settings
 from torchdt.report.tuning import TuningReport, slice_figure, tuning_summary, write_tuned, write_tuning_csv
 from torchdt.tracking import track
-from torchdt.tuning.checkpoint import flatten, load_checkpoint, save_checkpoint
+from torchdt.tuning.checkpoint import load_state, save_state
 from torchdt.tuning.gradient import ascend
 from torchdt.tuning.search import search
 from torchdt.tuning.slices import slices
@@ -46,22 +44,22 @@ def run_tune(config: DictConfig) -> float | None:
     Raises:
         InputError: where configuration or data do not make sense, or the directory holds the checkpoint of
             another configuration. The directory's results then stay as they are.
+        StorageError: where something cannot be written; the same command goes on when it can be.
     """
     settings = settings_of(config)
     assert isinstance(settings, TuneSettings)
     directory = Path(HydraConfig.get().runtime.output_dir)
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
-    plain = dataclasses.asdict(settings)
-    fingerprint = flatten({key: value for key, value in plain.items() if key != "logging"})
-    known = load_checkpoint(directory / "checkpoint.pt", fingerprint)
+    fingerprint = fingerprint_of(settings, [*settings.train_paths, *settings.heldout_paths])
+    known = load_state(directory / "checkpoint.pt", fingerprint)
     sets = [
         gather(settings, settings.train_seeds, settings.train_paths, settings.pad),
         gather(settings, settings.heldout_seeds, settings.heldout_paths, settings.pad),
     ]
     hyperparameters, families = build_problem(settings, settings.hyperparameters, sets)
     job = TuneJob(settings, directory, fingerprint, hyperparameters, sets, families)
-    write_json(directory / "manifest.json", manifest(plain, settings.seed))
+    write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), settings.seed))
     state = job.run(known)
     log.info("results in %s", directory)
     log.info(
@@ -109,7 +107,7 @@ class TuneJob:
         method = ascend if tuning.method == "gradient" else search
         reached = state
         with contextlib.ExitStack() as stack:
-            advance = stack.enter_context(progress_bar(self.settings))
+            advance = stack.enter_context(tune_progress(self.settings))
             first = 0 if state is None else len(state.records)
             report = TuningReport(self.directory / "tensorboard", first) if logging_.tensorboard else None
             if report is not None:
@@ -132,7 +130,7 @@ class TuneJob:
         if report is not None:
             report.flush()
         write_tuning_csv(self.directory / "tuning.csv", state.records)
-        save_checkpoint(self.directory / "checkpoint.pt", state, self.fingerprint)
+        save_state(self.directory / "checkpoint.pt", self.fingerprint, state)
 
     def gospa(self, raw: dict[str, Tensor]) -> float | None:
         """Mean GOSPA over sequences and steps of the held-out set; None without truth."""
@@ -158,48 +156,18 @@ class TuneJob:
         if report is not None:
             report.add_gospa(scores[1], step)
             metrics = {"heldout": state.best_heldout, "heldout_gospa": scores[1]}
-            report.add_hparams(numbers(values), metrics, step)
+            hydra = HydraConfig.get()
+            row = row_settings(
+                dataclasses.asdict(self.settings), hydra.runtime.choices["tracker"], hydra.overrides.task
+            )
+            report.add_hparams(row | numbers(values), metrics, step)
         if self.settings.logging.figures and self.settings.tuning.slice_points:
             self._draw_slices(step, report)
 
     def _draw_slices(self, step: int, report: TuningReport | None) -> None:
         tuning = self.settings.tuning
-        folder = self.directory / "figures"
-        folder.mkdir(exist_ok=True)
         for line in slices(self.hyperparameters, self.train, tuning.width, tuning.slice_points):
             figure = slice_figure(line)
-            figure.savefig(folder / f"slice_{line.name}.png", dpi=150)
+            write_figures(self.directory / "figures", {f"slice_{line.name}": figure})
             if report is not None:
                 report.add_figure(f"slices/{line.name}", figure, step)
-
-
-@contextlib.contextmanager
-def progress_bar(settings: TuneSettings) -> Iterator[Callable[[TuningState], None]]:
-    """A bar with steps (passes of a search) and how they go; hands out the function that moves it."""
-    alone = HydraConfig.get().mode is not RunMode.MULTIRUN
-    visible = settings.logging.progress and alone and sys.stderr.isatty()
-    climbing = settings.tuning.method == "gradient"
-    columns = (
-        TextColumn("step" if climbing else "pass"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("objective {task.fields[objective]}"),
-        TextColumn("best held-out {task.fields[heldout]}"),
-        TextColumn("skipped {task.fields[skipped]}"),
-        TimeRemainingColumn(),
-    )
-    total = settings.tuning.steps + 1 if climbing else settings.tuning.budget_passes
-    with Progress(*columns, console=Console(stderr=True), disable=not visible) as progress:
-        task = progress.add_task("", total=total, objective="-", heldout="-", skipped=0)
-
-        def advance(state: TuningState) -> None:
-            objective = state.records[-1].objective
-            progress.update(
-                task,
-                completed=len(state.records) if climbing else state.passes,
-                objective="-" if objective is None else f"{objective:.4f}",
-                heldout="-" if state.best_heldout is None else f"{state.best_heldout:.4f}",
-                skipped=state.skipped,
-            )
-
-        yield advance

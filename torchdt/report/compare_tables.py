@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from torch.utils.tensorboard import SummaryWriter
 
+from torchdt.atomic import storing
 from torchdt.metrics import Gospa
 from torchdt.report.files import write_json
 from torchdt.report.quality import Quality, write_table
@@ -76,13 +77,15 @@ def write_gospa_table(path: str | os.PathLike[str], scores: Mapping[str, Gospa])
 def write_events(directory: str | os.PathLike[str], score: Gospa) -> None:
     """Write GOSPA and its parts over time, means over the runs, for TensorBoard to lay over each other.
 
+    What was in the folder before is hidden.
+
     The tags are those of a single run: `gospa/total`, `gospa/localisation`, `gospa/missed`, `gospa/false`.
 
     Args:
         directory: folder of the event files of one tracker, made if absent.
         score: `(B, K)`.
     """
-    with SummaryWriter(os.fspath(directory)) as writer:
+    with storing(directory), SummaryWriter(os.fspath(directory), purge_step=0) as writer:
         for name in ("total", "localisation", "missed", "false"):
             for step, value in enumerate(getattr(score, name).mean(0).tolist()):
                 writer.add_scalar(f"gospa/{name}", value, step)

@@ -11,10 +11,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import torch
+from matplotlib.figure import Figure
 from torch import Tensor
 
 import torchdt
-from torchdt.atomic import atomic_write
+from torchdt.atomic import atomic_write, storing
 from torchdt.config import TrackerConfig
 from torchdt.history import TrackHistory
 from torchdt.metrics import Gospa
@@ -164,6 +165,15 @@ def write_json(path: str | os.PathLike[str], content: Mapping[str, object]) -> N
     text = json.dumps(_finite(content), indent=2, allow_nan=False, default=str)
     with atomic_write(path) as file:
         file.write(f"{text}\n".encode())
+
+
+def write_figures(directory: Path, figures: Mapping[str, Figure]) -> None:
+    """Write `<name>.png` for each of them, into a folder that is made if absent."""
+    with storing(directory):
+        directory.mkdir(parents=True, exist_ok=True)
+    for name, figure in figures.items():
+        with atomic_write(directory / f"{name}.png") as file:
+            figure.savefig(file, format="png", dpi=150)
 
 
 def _write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

@@ -2,24 +2,32 @@
 
 import csv
 import io
-import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from matplotlib.figure import Figure
 from omegaconf import OmegaConf
-from torch.utils.tensorboard import SummaryWriter
-from torch.utils.tensorboard.summary import hparams
 
 from torchdt.atomic import atomic_write
+from torchdt.report.events import EventReport
 from torchdt.report.figures import COLOURS
 from torchdt.tuning.config import TuningConfig
 from torchdt.tuning.fields import ENVIRONMENT
 from torchdt.tuning.slices import Slice
 from torchdt.tuning.state import Record, TuningState, Values, numbers
+
+LAYOUT = {
+    "Tuning": {
+        "Log-likelihood per step, of training with the log-prior and held out": [
+            "tuning/objective",
+            "tuning/heldout",
+        ],
+        "GOSPA of the held-out set": ["heldout_gospa/total"],
+        "Values": ["value/.*"],
+        "Gradient norms": ["gradient_norm/.*"],
+    }
+}
 
 
 def write_tuning_csv(path: str | os.PathLike[str], records: Sequence[Record]) -> None:
@@ -106,11 +114,11 @@ def slice_figure(line: Slice) -> Figure:
     return figure
 
 
-class TuningReport:
+class TuningReport(EventReport):
     """Writes a tuning run into event files; use it as a context manager.
 
     The tags: `tuning/objective`, `tuning/heldout`, `tuning/passes`, `tuning/skipped`, `value/<name>`,
-    `gradient_norm/<name>`, `heldout_gospa/total`, `slices/<name>`, and one row under hparams with the metrics
+    `gradient_norm/<name>`, `heldout_gospa/total`, `slices/<name>`, and one row under HPARAMS with the metrics
     `hparam/heldout` and `hparam/heldout_gospa`.
 
     Args:
@@ -120,7 +128,7 @@ class TuningReport:
     """
 
     def __init__(self, directory: str | os.PathLike[str], first_step: int = 0) -> None:
-        self._writer = SummaryWriter(os.fspath(directory), purge_step=first_step or None)
+        super().__init__(directory, first_step, LAYOUT)
 
     def add_record(self, record: Record) -> None:
         """Write what one step found."""
@@ -133,38 +141,8 @@ class TuningReport:
             **{f"gradient_norm/{name}": norm for name, norm in record.gradient_norms.items()},
         }
         for tag, value in scalars.items():
-            self._add(tag, value, record.step)
+            self.add_scalar(tag, value, record.step)
 
     def add_gospa(self, gospa: float | None, step: int) -> None:
         """Write the mean GOSPA of the held-out set, tracked with the best values of this step."""
-        self._add("heldout_gospa/total", gospa, step)
-
-    def add_figure(self, tag: str, figure: Figure, step: int) -> None:
-        """Write a figure as an image under `tag`."""
-        self._writer.add_figure(tag, figure, step, close=False)
-
-    def add_hparams(
-        self, settings: Mapping[str, float], metrics: Mapping[str, float | None], step: int
-    ) -> None:
-        """Write the row of this run; `SummaryWriter.add_hparams` would open a run of its own."""
-        found = {f"hparam/{name}": v for name, v in metrics.items() if v is not None and math.isfinite(v)}
-        for summary in hparams(dict(settings), found):
-            self._writer._get_file_writer().add_summary(summary)
-        for tag, value in found.items():
-            self._add(tag, value, step)
-
-    def flush(self) -> None:
-        """Bring all that was written so far to the disk."""
-        self._writer.flush()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._writer.close()
-
-    def _add(self, tag: str, value: float | None, step: int) -> None:
-        if value is not None and math.isfinite(value):
-            self._writer.add_scalar(tag, value, step)
+        self.add_scalar("heldout_gospa/total", gospa, step)
