@@ -1,16 +1,8 @@
 """Track objects directly from array snapshots: `python experiments/track.py --help`."""
 
-import hydra
-from omegaconf import DictConfig
+from torchdt.experiment.job import job
 
-from torchdt.experiment.track import run_track
-
-
-@hydra.main(config_path="pkg://torchdt.conf", config_name="track", version_base="1.3")
-def main(config: DictConfig) -> float | None:
-    """Run one job in Hydra's run directory and return the mean GOSPA."""
-    return run_track(config)
-
+main = job("track")
 
 if __name__ == "__main__":
     main()

@@ -1,5 +1,6 @@
 """What gets installed: all packages, the configuration as `torchdt.conf`, the type marker."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -20,6 +21,13 @@ with initialize_config_module("torchdt.conf", version_base="1.3"):
     print(compose("track", overrides=["scenario=line_array"]).scenario.name)
 print(Path(torchdt.conf.__file__).parent)
 """
+
+
+OWN = {
+    "scenario/bay.yaml": "defaults: [line_array, _self_]\nname: bay\nsnr_db: 15.0\n",
+    "field/four.yaml": "defaults: [line_array, _self_]\nsensor_positions: [0, 5, 10, 15]\n",
+}
+SMALL = ("scenario.num_steps=3", "tracker.particles=50", "tracker.slots=4", "logging=quiet")
 
 
 def project():
@@ -78,15 +86,40 @@ def test_wheel_holds_the_code_and_nothing_else(names):
     assert "torchdt-0.1.0.dist-info/licenses/LICENSE" in names
 
 
-def test_installed_wheel_finds_its_configuration(wheel, tmp_path):
-    target, elsewhere = tmp_path / "target", tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    install = ("-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", target, wheel)
-    run(*install)
-    environment = os.environ | {"PYTHONPATH": str(target)}
-    name, folder = run("-c", COMPOSE, cwd=elsewhere, env=environment).split()
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory):
+    """Folder of the wheel's content, out of sight of the checkout."""
+    target = tmp_path_factory.mktemp("target")
+    run("-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", target, wheel)
+    return target
+
+
+def test_installed_wheel_finds_its_configuration(installed, tmp_path):
+    environment = os.environ | {"PYTHONPATH": str(installed)}
+    name, folder = run("-c", COMPOSE, cwd=tmp_path, env=environment).split()
     assert name == "line_array"
-    assert Path(folder) == target / "torchdt" / "conf"
+    assert Path(folder) == installed / "torchdt" / "conf"
+
+
+def test_installed_wheel_has_the_command(installed, tmp_path):
+    environment = os.environ | {"PYTHONPATH": str(installed)}
+    said = run(installed / "bin" / "torchdt", "--version", cwd=tmp_path, env=environment)
+    assert said == f"torchdt {project()['project']['version']}\n"
+
+
+def test_own_configuration_with_an_installed_wheel(installed, tmp_path):
+    """A field and a scenario of one's own in a folder, on the package's command."""
+    for name, content in OWN.items():
+        (tmp_path / "mine" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "mine" / name).write_text(content)
+    environment = os.environ | {"PYTHONPATH": str(installed)}
+    command = (installed / "bin" / "torchdt", "track", "--config-dir=mine", "scenario=bay", "field=four")
+    run(*command, *SMALL, "hydra.run.dir=run", cwd=tmp_path, env=environment)
+    config = json.loads((tmp_path / "run" / "manifest.json").read_text())["config"]
+    assert config["scenario"]["name"] == "bay"
+    assert config["scenario"]["snr_db"] == 15
+    assert len(config["field"]["sensor_positions"]) == 4
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["num_steps"] == 3
 
 
 def test_constraints_name_every_requirement():
@@ -97,9 +130,9 @@ def test_constraints_name_every_requirement():
     )
     needed = project()["project"]
     extras = needed["optional-dependencies"]
-    requirements = [*needed["dependencies"], *extras["test"], *extras["dev"]]
-    bare = {requirement.partition(">=")[0] for requirement in requirements} - {"torchdt[test]"}
-    assert bare <= set(pinned)
+    requirements = [*needed["dependencies"], *(name for extra in extras.values() for name in extra)]
+    bare = {name.partition(">=")[0] for name in requirements if not name.startswith("torchdt[")}
+    assert bare - {"stonesoup"} <= set(pinned)  # a peer, in no environment of tests
     assert pinned["torch"] == "2.13.0"
 
 

@@ -1,39 +1,14 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
-import torchdt.conf
-from hydra import compose, initialize_config_module
-from omegaconf import OmegaConf
 
 from torchdt.experiment.build import simulate
 from torchdt.experiment.fields import build_field
 from torchdt.scenario.simulate import source_track
 
-CONF = Path(torchdt.conf.__file__).parent
-# Those of tuning belong to another job.
-OTHER = ("tuning", "hyperparameters")
-OPTIONS = sorted((p.parent.name, p.stem) for p in CONF.glob("*/*.yaml") if p.parent.name not in OTHER)
-
 
 def read_table(path):
     return np.genfromtxt(path, delimiter=",", skip_header=1)
-
-
-def test_options_are_found():
-    assert ("scenario", "swellex96") in OPTIONS
-    assert {group for group, _ in OPTIONS} >= {"data", "field", "logging", "scenario", "tracker"}
-
-
-@pytest.mark.parametrize(("group", "option"), OPTIONS)
-def test_every_option_composes(settings, group, option):
-    needed = ("data.path=recording",) if group == "data" else ()
-    changed = settings(f"{group}={option}", *needed, small=False)
-    assert changed is not None
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
-        plain = compose("track", overrides=[f"{group}={option}"])
-    assert OmegaConf.missing_keys(plain) <= {"data.path"}
 
 
 def test_scenario_brings_its_field(settings):

@@ -1,0 +1,6 @@
+"""Many runs in one table and one figure: `python experiments/collect.py DIR --figure=runs.png`."""
+
+from torchdt.experiment.collect import main
+
+if __name__ == "__main__":
+    main()

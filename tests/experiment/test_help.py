@@ -1,0 +1,65 @@
+"""`--help` says what a command does, what there is to choose, and how it is used."""
+
+from pathlib import Path
+
+import pytest
+import torchdt.conf
+from oracles.scripts import call, load
+
+CONF = Path(torchdt.conf.__file__).parent
+JOBS = sorted(path.stem for path in CONF.glob("*.yaml"))
+GROUPS = sorted(
+    path.name for path in CONF.iterdir() if path.is_dir() and path.name not in ("hydra", "__pycache__")
+)
+
+
+@pytest.fixture(scope="module", params=JOBS)
+def text(request):
+    status, out, err = call(load(request.param), "--help")
+    assert (status, err) == (0, "")
+    return request.param, out
+
+
+def test_begins_with_what_it_does(text):
+    job, out = text
+    assert out.startswith(f"{job}: ")
+    assert "powered by Hydra" not in out
+
+
+def test_examples_call_this_command(text):
+    job, out = text
+    examples = out.partition("Examples")[2].partition("Usual settings")[0]
+    assert f"torchdt {job} " in examples or f"python experiments/{job}.py" in examples
+
+
+def test_groups_and_their_options(text):
+    lines = text[1].splitlines()
+    for group in GROUPS:
+        (line,) = (line for line in lines if line.startswith(f"{group}: "))
+        options = {path.stem for path in CONF.glob(f"{group}/*.yaml")}
+        assert set(line.partition(": ")[2].split(", ")) == options
+
+
+def test_usual_settings_exist(text):
+    """The names before `=` are keys of the configuration or groups."""
+    out = text[1]
+    usual = out.partition("Usual settings:\n")[2].partition("\n\n")[0]
+    keys = [word.partition("=")[0] for line in usual.splitlines() for word in line.split() if "=" in word]
+    assert len(keys) >= 4
+    settings = out.partition("\nSettings, ")[2].splitlines()
+    names = {line.split(":")[0].strip(" -") for line in settings} | set(GROUPS)
+    assert [key for key in keys if key.rpartition(".")[2] not in names] == []
+
+
+def test_launchers_and_presets(text):
+    out = text[1]
+    assert all(path.stem in out for path in CONF.glob("hydra/launcher/*.yaml"))
+    assert all(path.stem in out for path in CONF.glob("experiment/*.yaml"))
+
+
+def test_narrow_enough_for_a_terminal(text):
+    """Lists of options apart, which are as long as they are."""
+    lines = [
+        line for line in text[1].partition("\nSettings")[0].splitlines() if line.split(":")[0] not in GROUPS
+    ]
+    assert max(map(len, lines)) <= 120
