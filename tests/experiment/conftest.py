@@ -1,4 +1,5 @@
 import csv
+import functools
 import json
 import os
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ import pytest
 from hydra import compose, initialize_config_module
 from oracles.scripts import SMALL, call, load
 
+from torchdt.experiment import track
 from torchdt.experiment.build import simulate
 from torchdt.experiment.settings import settings_of
 
@@ -46,8 +48,7 @@ class Outcome:
 @pytest.fixture(scope="session")
 def launch(tmp_path_factory):
     """Run `experiments/track.py`."""
-    script = load("track")
-    run_track = script.run_track
+    run_track = track.run_track
 
     def launch(*overrides, small=True, terminal=False):
         """Small and without figures unless told otherwise."""
@@ -57,13 +58,14 @@ def launch(tmp_path_factory):
         flags = [o for o in overrides if o.startswith("-")]
         rest = [o for o in overrides if not o.startswith("-")]
 
+        @functools.wraps(run_track)
         def recorded(config):
             outcome.values.append(run_track(config))
             return outcome.values[-1]
 
-        with mock.patch.object(script, "run_track", recorded):
+        with mock.patch.object(track, "run_track", recorded):
             outcome.status, outcome.out, outcome.err = call(
-                script, *flags, "logging=quiet", *size, *places, *rest, terminal=terminal
+                load("track"), *flags, "logging=quiet", *size, *places, *rest, terminal=terminal
             )
         return outcome
 

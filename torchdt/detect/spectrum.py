@@ -3,7 +3,7 @@
 Every column a_c of the dictionary has a power gamma_c that all tones share, `Sigma_f = sum_c gamma_c a_fc
 a_fc^H + eta_f I`, and the evidence is raised by the fixed-point update
 
-    gamma <- gamma * sum_f (1/J) sum_j |a_f^H Sigma_f^-1 z_fj|^2 / sum_f a_f^H Sigma_f^-1 a_f
+    `gamma <- gamma * sum_f (1/J) sum_j |a_f^H Sigma_f^-1 z_fj|^2 / sum_f a_f^H Sigma_f^-1 a_f`
 
 (Gemba, Nannuru, Gerstoft and Hodgkiss, J. Acoust. Soc. Am. 141, 2017; Nannuru et al., Signal Processing 159,
 2019), with the noise variance of what the strongest peaks leave over. Powers that go to zero stay there: most

@@ -3,7 +3,7 @@
 Most of what a cell costs is `s = a^H Sigma^-1 a`. Where the background is noise and a few strong objects, few
 eigenvalues mu of `Sigma^-1` lie much below its bulk, and with their eigenvectors u
 
-    s >= mu_bulk |a|^2 - sum_k (mu_bulk - mu_k) |u_k^H a|^2
+    `s >= mu_bulk |a|^2 - sum_k (mu_bulk - mu_k) |u_k^H a|^2`
 
 bounds the log-likelihood ratio of every cell from above, tightly. Only cells whose bound reaches the exact
 value of the most promising one are tested: the result is that of testing all.

@@ -54,7 +54,7 @@ def tgospa(
 
     The linear programming metric of the paper (Sec. IV), with Euclidean distances: the minimum of
 
-        sum_k sum_ij D_ij(k) w_ij(k) + gamma^p / 2 sum_k sum_ij |w_ij(k + 1) - w_ij(k)|
+        `sum_k sum_ij D_ij(k) w_ij(k) + gamma^p / 2 sum_k sum_ij |w_ij(k + 1) - w_ij(k)|`
 
     over assignments w between 0 and 1 of all trajectories at each step, to the power 1/p.
 

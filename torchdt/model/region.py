@@ -18,7 +18,7 @@ class Coordinate:
 
     Attributes:
         name: for example `range`.
-        unit: of the position, for example `m`; rates are in `unit`ps.
+        unit: of the position, for example `m`; rates are in `unit` per second (`mps`).
         low, high: limits of the region, in units.
         cell: edge of a birth cell, in units; the region holds a whole number of cells.
         rate_low, rate_high: rates of newborn objects are uniform between these.

@@ -13,7 +13,7 @@ def effective_count(covariance: Tensor, field: Field, detector: Detector) -> flo
 
     With `W = L^-1 R L^-H` the sample covariance R of J snapshots whitened by the true one, `C = L L^H`,
 
-        E |W - I|_F^2 = M^2 / J
+        `E |W - I|_F^2 = M^2 / J`
 
     (complex Wishart: each entry of `W - I` has variance 1 / J; N. R. Goodman, Ann. Math. Statist. 34, 1963).
     C is that of the points of the detector and white noise. Where R averages so many samples that J is known

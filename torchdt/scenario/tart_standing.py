@@ -4,8 +4,8 @@ Receivers that share clock, cables and case hear each other: their covariance ha
 while objects move. What a time-averaged covariance holds of the sky is a sum of plane waves with weights from
 zero up, wherever the objects went, and on each sensor these weights add up to its power at most:
 
-    min over w >= 0, sum w <= 1 of sum over p < q |mean R_pq - sum_c w_c a_p(u_c) conj a_q(u_c)|^2,
-    where R_pp = 1,
+    `min over w >= 0, sum w <= 1 of sum over p < q |mean R_pq - sum_c w_c a_p(u_c) conj a_q(u_c)|^2`,
+    where `R_pp = 1`,
 
 a non-negative least-squares problem (C. L. Lawson and R. J. Hanson, Solving Least Squares Problems, 1974,
 ch. 23). What is left of `mean R` off the diagonal is no sky. Objects need not be known, and those that stand

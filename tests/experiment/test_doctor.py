@@ -1,0 +1,77 @@
+"""`torchdt doctor`: what it prints, and that its checks can fail."""
+
+import math
+import platform
+from unittest import mock
+
+import pytest
+import torch
+from oracles.scripts import call
+
+from torchdt.experiment import doctor
+
+
+@pytest.fixture
+def diagnose(tmp_path, monkeypatch):
+    """Exit status and lines of the command, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def diagnose():
+        status, out, err = call(doctor)
+        assert err == ""
+        return int(status), [" ".join(line.split()) for line in out.splitlines()]
+
+    return diagnose
+
+
+def checks(lines):
+    """The outcome of each check by its name."""
+    found = [line.split(" ", 3) for line in lines if line.startswith(("ok ", "failed "))]
+    assert all(float(seconds) >= 0 and unit == "s" for _, seconds, unit, _ in found)
+    return {rest.partition(":")[0]: mark for mark, _, _, rest in found}
+
+
+def test_all_is_well(diagnose, tmp_path):
+    status, lines = diagnose()
+    assert status == 0
+    assert checks(lines) == {"files": "ok", "tracking on cpu": "ok", "gradient": "ok"}
+    text = "\n".join(lines)
+    for name, value in (
+        ("python", platform.python_version()),
+        ("torch", torch.__version__),
+        ("threads", f"{torch.get_num_threads()} on"),
+        ("extra test", "pytest"),
+    ):
+        assert f"{name} │ {value}" in text
+    assert "GB free" in text
+    assert list(tmp_path.iterdir()) == []  # it leaves nothing behind
+
+
+def test_a_check_that_fails_is_an_exit_status(diagnose, tmp_path, monkeypatch):
+    (tmp_path / "outputs").write_text("not a folder")
+    for other in ("check_tracking", "check_gradient"):
+        monkeypatch.setattr(doctor, other, lambda *_: "as expected")
+    status, lines = diagnose()
+    assert status == 1
+    assert checks(lines) == {"files": "failed", "tracking on cpu": "ok", "gradient": "ok"}
+    assert "NotADirectoryError" in "\n".join(lines)
+
+
+def test_tracks_that_are_wrong(monkeypatch):
+    monkeypatch.setattr(doctor, "WORST_GOSPA", 0.01)
+    with pytest.raises(RuntimeError, match=r"GOSPA is 0\.\d\d degrees, expected less than 0.01"):
+        doctor.check_tracking(torch.device("cpu"))
+
+
+@pytest.mark.parametrize("factor", [1.001, math.nan])
+def test_gradient_that_is_wrong(monkeypatch, factor):
+    grad = torch.autograd.grad
+    monkeypatch.setattr(torch.autograd, "grad", lambda *of: [factor * slope for slope in grad(*of)])
+    with pytest.raises(RuntimeError, match="finite difference"):
+        doctor.check_gradient()
+
+
+def test_missing_packages_are_named():
+    requirements = ["hydra-core>=1", 'nowhere-to-be-found>=2; extra == "far"']
+    with mock.patch.object(doctor, "requires", return_value=requirements):
+        assert doctor.extras() == {"far": "nowhere-to-be-found missing"}

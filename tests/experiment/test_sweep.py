@@ -1,0 +1,74 @@
+"""The callback by itself; real sweeps are in test_launchers.py."""
+
+import json
+import math
+
+import pytest
+from hydra.core.utils import JobReturn, JobStatus
+from hydra.types import RunMode
+from omegaconf import OmegaConf
+
+from torchdt.experiment.sweep import SweepReport
+
+
+@pytest.fixture
+def config(tmp_path):
+    """Of job 3, as far as the callback reads it."""
+    (tmp_path / "3").mkdir()
+    hydra = {
+        "mode": RunMode.MULTIRUN,
+        "job": {"num": 3},
+        "overrides": {"task": ["seed=3"]},
+        "runtime": {"output_dir": str(tmp_path / "3")},
+        "sweep": {"dir": str(tmp_path)},
+    }
+    return OmegaConf.create({"hydra": hydra})
+
+
+@pytest.fixture
+def report(config):
+    report = SweepReport()
+    report.on_multirun_start(config)
+    report.on_job_start(config)
+    return report
+
+
+def ended(status, value):
+    job = JobReturn(status=status)
+    job.return_value = value
+    return job
+
+
+def test_a_failed_job_counts_as_nan(report, config):
+    job = ended(JobStatus.FAILED, ValueError("first line\nsecond line"))
+    report.on_job_end(config, job)
+    assert math.isnan(job.return_value)
+    with pytest.raises(SystemExit, match="1"):
+        report.on_multirun_end(config)
+
+
+@pytest.mark.parametrize(("value", "kept"), [(2.5, 2.5), (None, None), ([1, 2], None), (math.nan, None)])
+def test_a_completed_job_keeps_its_number(report, config, tmp_path, value, kept):
+    job = ended(JobStatus.COMPLETED, value)
+    report.on_job_end(config, job)
+    assert job.return_value is value
+    report.on_multirun_end(config)
+    (found,) = json.loads((tmp_path / "sweep.json").read_text())["jobs"]
+    assert (found["status"], found["result"]) == ("completed", kept)
+
+
+def test_a_job_whose_process_ended_is_not_lost(report, config, tmp_path, caplog):
+    with pytest.raises(SystemExit):
+        report.on_multirun_end(config)
+    assert "job 3 failed, seed=3: its process ended" in caplog.text
+    assert json.loads((tmp_path / "sweep.json").read_text())["jobs"][0]["status"] == "running"
+
+
+def test_a_single_run_keeps_its_error(config, tmp_path):
+    config.hydra.mode = RunMode.RUN
+    report, job = SweepReport(), ended(JobStatus.FAILED, ValueError("wrong"))
+    report.on_job_start(config)
+    report.on_job_end(config, job)
+    with pytest.raises(ValueError, match="wrong"):
+        job.return_value  # noqa: B018
+    assert not (tmp_path / "3" / "job.json").exists()
