@@ -3,8 +3,8 @@ import io
 import json
 
 import pytest
+from oracles import events
 from rich.console import Console
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from torchdt.report.compare_tables import (
     COLUMNS,
@@ -14,6 +14,7 @@ from torchdt.report.compare_tables import (
     write_events,
     write_gospa_table,
 )
+from torchdt.report.quality import Quality
 
 ROWS = [
     Comparison("weak", tracker="direct", gospa=1.5, gospa_ci=0.25, gospa_by_run=[1.25, 1.75], ahead=0.0),
@@ -73,11 +74,16 @@ def test_gospa_of_all_trackers(tmp_path, score):
 
 
 def test_events_are_means_over_runs(tmp_path, score):
-    write_events(tmp_path / "tensorboard" / "direct", score)
-    read = EventAccumulator(str(tmp_path / "tensorboard" / "direct"), size_guidance={"scalars": 0}).Reload()
-    assert set(read.Tags()["scalars"]) == {
+    quality = Quality("births", runs=2, gospa=65.0, switches=0.5)
+    write_events(tmp_path / "direct", "direct", quality, score, seed=3)
+    read = events.read(tmp_path / "direct")
+    rows = {tag for tag in read.Tags()["scalars"] if tag.startswith("hparam/")}
+    assert set(read.Tags()["scalars"]) - rows == {
         f"gospa/{part}" for part in ("total", "localisation", "missed", "false")
     }
+    assert events.hparams(read) == {"scenario": "births", "tracker": "direct", "runs": 2.0, "seed": 3.0}
+    # What was not scored leaves its cell empty.
+    assert {tag: read.Scalars(tag)[-1].value for tag in rows} == {"hparam/gospa": 65, "hparam/switches": 0.5}
     assert [event.step for event in read.Scalars("gospa/total")] == list(range(6))
     # A ghost in one of the two runs at step 2, a source missed by both from step 3 on.
     assert [event.value for event in read.Scalars("gospa/total")] == [1, 1, 51, 101, 101, 101]

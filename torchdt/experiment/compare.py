@@ -135,7 +135,8 @@ def run_compare(config: DictConfig) -> list[Comparison]:
                     stage = stage or set_stage(track_settings, settings)
                     outcome = assess(scenario, stage, track_settings, settings)
                     if settings.tensorboard:
-                        write_events(directory / scenario / "tensorboard" / name, outcome.gospa)
+                        events = directory / scenario / "tensorboard" / name
+                        write_events(events, name, outcome.quality, outcome.gospa, settings.seed)
                     found = {**outcomes, name: outcome}
                     ordered = {tracker: found[tracker] for tracker in settings.trackers if tracker in found}
                     write_outcomes(directory / scenario, stage, ordered)

@@ -81,7 +81,14 @@ def run_track(config: DictConfig) -> float | None:
         checkpoint.finish(value, keep)
     if is_alone():
         print_summary(Console(), history, score, seconds, title=f"tracker {name}, {settings.scenario.name}")
-    log.info("results in %s", directory)
+    quality = "no truth to score" if value is None else f"mean GOSPA {value:.3g}"
+    log.info(
+        "%d steps in %.1f s, %s, results in %s",
+        history.existence[..., 0].numel(),
+        seconds,
+        quality,
+        directory,
+    )
     return value
 
 

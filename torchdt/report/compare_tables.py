@@ -11,10 +11,9 @@ from pathlib import Path
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
-from torch.utils.tensorboard import SummaryWriter
 
-from torchdt.atomic import storing
 from torchdt.metrics import Gospa
+from torchdt.report.events import EventReport
 from torchdt.report.files import write_json
 from torchdt.report.quality import Quality, write_table
 
@@ -50,6 +49,10 @@ COLUMNS = {
 }
 
 
+METRICS = ("gospa", "localisation", "missed", "false", "gospa_all", "switches", "seconds", "steps_per_second")
+"""Scores in the row of a tracker under HPARAMS."""
+
+
 def write_comparison(directory: Path, rows: Sequence[Comparison]) -> None:
     """Replace `compare.csv` and `compare.json`."""
     table = [{"scenario": row.scenario, "tracker": row.tracker} | dataclasses.asdict(row) for row in rows]
@@ -74,21 +77,28 @@ def write_gospa_table(path: str | os.PathLike[str], scores: Mapping[str, Gospa])
     write_table(path, rows)
 
 
-def write_events(directory: str | os.PathLike[str], score: Gospa) -> None:
+def write_events(
+    directory: str | os.PathLike[str], tracker: str, quality: Quality, score: Gospa, seed: int
+) -> None:
     """Write GOSPA and its parts over time, means over the runs, for TensorBoard to lay over each other.
 
-    What was in the folder before is hidden.
-
-    The tags are those of a single run: `gospa/total`, `gospa/localisation`, `gospa/missed`, `gospa/false`.
+    What was in the folder before is hidden. The tags are those of a single run: `gospa/total`,
+    `gospa/localisation`, `gospa/missed`, `gospa/false`; and there is one row under HPARAMS.
 
     Args:
         directory: folder of the event files of one tracker, made if absent.
+        tracker: its name.
+        quality: scores of all its runs.
         score: `(B, K)`.
+        seed: of the first run.
     """
-    with storing(directory), SummaryWriter(os.fspath(directory), purge_step=0) as writer:
+    settings = {"scenario": quality.scenario, "tracker": tracker, "runs": quality.runs, "seed": seed}
+    with EventReport(directory, 0, {"Quality": {"GOSPA and its parts": ["gospa/.*"]}}) as report:
         for name in ("total", "localisation", "missed", "false"):
             for step, value in enumerate(getattr(score, name).mean(0).tolist()):
-                writer.add_scalar(f"gospa/{name}", value, step)
+                report.add_scalar(f"gospa/{name}", value, step)
+        metrics = {name: getattr(quality, name) for name in METRICS}
+        report.add_hparams(settings, metrics, score.total.shape[-1] - 1)
 
 
 def print_comparison(console: Console, rows: Sequence[Comparison]) -> None:
