@@ -68,7 +68,13 @@ def test_options_run(launch, override, num_steps):
 
 @pytest.mark.parametrize("key", ["eof_scale=1", "tilt_deg=[0.5,1.0]", "water_depth_m=[1,1]"])
 def test_mismatch_changes_the_data(launch, key):
-    small = ("scenario.num_steps=2", "tracker.particles=50", "tracker.births=2", "tracker.rounds=1")
+    small = (
+        "scenario.num_steps=2",
+        "calibration=none",
+        "tracker.particles=50",
+        "tracker.births=2",
+        "tracker.rounds=1",
+    )
     matched = launch(*small, small=False)
     outcome = launch(*small, f"scenario.mismatch.{key}", small=False)
     assert outcome.status == 0, outcome.err
