@@ -69,7 +69,7 @@ def test_jobs_take_the_arguments_of_hydra(torchdt, name):
 def test_multirun(torchdt, tmp_path):
     status, out, err = torchdt("track", "-m", "seed=0,1", *FAST, "hydra.sweep.dir=sweep")
     assert status == 0, err
-    assert "GOSPA" not in out  # no tables
+    assert "┃" not in out  # no tables
     assert len(list((tmp_path / "sweep").glob("*/metrics.json"))) == 2
 
 
@@ -113,6 +113,7 @@ def test_bash_completes_what_hydra_knows_of_the_job(shell):
     ("line", "found"),
     [
         ("torchdt ", [*cli.COMMANDS]),
+        ("torchdt tr", [*cli.COMMANDS]),  # the shell picks
         ("torchdt tune tuning=", ["tuning=gradient", "tuning=grid", "tuning=tpe"]),
         ("torchdt track -m tracker.part", ["tracker.particles="]),
         ("torchdt doctor ", []),
@@ -126,9 +127,11 @@ def test_queries(torchdt, monkeypatch, line, found):
         assert out.split() == found
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_scripts_of_the_shells(torchdt, shell):
-    status, out, err = torchdt("-sc", f"install={shell}")
+@pytest.mark.parametrize(
+    ("flag", "shell"), [("-sc", "bash"), ("-sc", "zsh"), ("-sc", "fish"), ("--shell-completion", "bash")]
+)
+def test_scripts_of_the_shells(torchdt, flag, shell):
+    status, out, err = torchdt(flag, f"install={shell}")
     assert status == 0, err
     assert "torchdt" in out
     assert "query=" in out

@@ -98,6 +98,23 @@ def test_interrupted_at_any_step(tmp_path, recording, whole, kind, step):
 
 
 @both
+def test_interrupted_again(tmp_path, recording, whole, kind):
+    interrupt(tmp_path, recording, kind, 1, 2)
+    interrupt(tmp_path, recording, kind, 1, 4)
+    assert equal(go_on(tmp_path, recording, kind), whole[kind])
+
+
+def test_the_log_says_where_tracking_goes_on(tmp_path, recording, caplog):
+    interrupt(tmp_path, recording, "direct", 1, 2)
+    with caplog.at_level("INFO", "torchdt.keeper"):
+        go_on(tmp_path, recording, "direct")
+    assert caplog.messages == [
+        f"sequences 0-0: {STEPS} of {STEPS} steps were done, going on",
+        f"sequences 1-2: 2 of {STEPS} steps were done, going on",
+    ]
+
+
+@both
 def test_chunks_that_are_done_are_not_tracked_again(tmp_path, recording, kind, monkeypatch):
     expected = go_on(tmp_path, recording, kind)
     tracker = build(kind)
@@ -156,6 +173,19 @@ def test_time_says_when_to_write_and_the_end_always_does(tmp_path, one, every_s,
     assert not tmp_path.exists()
 
 
+def test_time_counts_from_the_last_writing(tmp_path, one, monkeypatch):
+    """A step takes a second."""
+    now, written = [0], []
+    monkeypatch.setattr("torchdt.keeper.time.monotonic", lambda: now[0])
+
+    def on_step(*_):
+        now[0] += 1
+
+    keep = keeper(tmp_path, 2, before=lambda: written.append(now[0]))
+    track(one, build("direct"), [7], on_step, keep=keep)
+    assert written == [2, 4, STEPS]
+
+
 def test_time_of_all_processes(tmp_path, one, monkeypatch):
     """A hundred seconds pass at each look at the clock."""
     clock = iter(range(0, 10**6, 100))
@@ -167,6 +197,19 @@ def test_time_of_all_processes(tmp_path, one, monkeypatch):
     assert second.seconds == 100
     track(one, build("direct"), [7], keep=second)
     assert second.seconds == 100 * STEPS + 200
+
+
+def test_the_time_of_chunks_that_were_tracked_together_counts_once(tmp_path, monkeypatch):
+    clock = iter(range(0, 10**6, 100))
+    monkeypatch.setattr("torchdt.keeper.time.perf_counter", lambda: next(clock))
+    first = keeper(tmp_path)
+    paths = [tmp_path / "0-0.pt", tmp_path / "1-1.pt"]
+    for path in paths:
+        first.save(path, {})  # at 100 s and 200 s
+    second = keeper(tmp_path)
+    for path in reversed(paths):
+        second.load(path)
+    assert second.seconds == 200 + 100
 
 
 def test_another_run(tmp_path, one):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -134,6 +135,18 @@ def test_constraints_name_every_requirement():
     bare = {name.partition(">=")[0] for name in requirements if not name.startswith("torchdt[")}
     assert bare - {"stonesoup"} <= set(pinned)  # a peer, in no environment of tests
     assert pinned["torch"] == "2.13.0"
+
+
+def test_extras_that_are_named_exist():
+    texts = [
+        *ROOT.glob("docs/*.md"),
+        ROOT / "README.md",
+        *ROOT.glob("conf/**/*.yaml"),
+        *ROOT.glob("torchdt/**/*.py"),
+    ]
+    named = {name for text in texts for name in re.findall(r"torchdt\[(\w+)\]", text.read_text())}
+    assert {"joblib", "slurm", "ray", "tune"} <= named
+    assert named <= set(project()["project"]["optional-dependencies"])
 
 
 def test_versions_agree():

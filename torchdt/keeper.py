@@ -1,5 +1,6 @@
 """Tracking that survives the end of its process: what each chunk of sequences has done, in a folder."""
 
+import logging
 import math
 import os
 import shutil
@@ -18,6 +19,8 @@ from torchdt.protocol import Past
 from torchdt.random import RandomStreams
 
 KIND = "tracking"
+
+log = logging.getLogger(__name__)
 
 
 class Keeper:
@@ -125,6 +128,8 @@ class ChunkKeeper:
             raise not_a_checkpoint(self.path, KIND) from error
         past = Past(state, history)
         self.estimates = past.steps(1)
+        done = len(self.estimates)
+        log.info("sequences %s: %d of %d steps were done, going on", self.path.stem, done, self.num_steps)
         return past
 
     def __call__(self, step: int, state: Any, estimate: TrackHistory) -> None:

@@ -10,8 +10,11 @@ import torch
 from oracles.scripts import SMALL, call, load
 from scipy.stats import t as student
 
-from torchdt.experiment.collect import find_directories, gather, main, summarise
+from torchdt.experiment import collect
+from torchdt.experiment.collect import choose, differing, find_directories, gather, main, summarise
 from torchdt.metrics.tart import SkyScore
+from torchdt.report.collect import Row, interval_figure
+from torchdt.report.collect_runs import Run
 
 QUIET = ("scenario=line_array", "scenario.num_steps=5", "logging=quiet")
 SIZE = (*QUIET, *SMALL)
@@ -70,6 +73,38 @@ def test_single_directories_are_as_good_as_their_sweep(sweep):
     assert rows_of(*(sweep / str(job) for job in range(6)), sweep) == rows_of(sweep)
 
 
+def test_directories_in_the_order_of_their_numbers(tmp_path):
+    for name in ("10", "9", "late"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "manifest.json").touch()
+    assert [path.name for path in find_directories([tmp_path])] == ["9", "10", "late"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "chosen", "names"),
+    [
+        (("slots", "births"), {"births"}, ["births"]),  # slots follow
+        (("slots", "births"), {"slots", "births"}, ["slots", "births"]),
+        (("slots", "births", "seed", "data.seed"), set(), ["slots"]),
+    ],
+)
+def test_what_differs(settings, chosen, names):
+    runs = [Run(dict.fromkeys(settings, value) | {"dtype": "float32"}, chosen, {}, 1) for value in (4, 8)]
+    assert differing(runs) == names
+
+
+@pytest.mark.parametrize(
+    ("known", "wanted", "shown"),
+    [
+        (("missed", "log_likelihood", "gospa"), None, ["gospa", "log_likelihood"]),
+        (("missed", "gospa"), ["missed"], ["missed"]),
+        (("speed", "seconds"), None, ["speed"]),
+    ],
+)
+def test_metrics_that_are_shown(known, wanted, shown):
+    assert choose([Row({}, 1, dict.fromkeys(known, 1.0), {})], wanted) == shown
+
+
 def test_command_line(sweep, tmp_path, capsys):
     table, figure = tmp_path / "runs.csv", tmp_path / "runs.png"
     main([str(sweep), "--csv", str(table), "--figure", str(figure)])
@@ -83,6 +118,15 @@ def test_command_line(sweep, tmp_path, capsys):
     assert float(rows[0]["gospa"]) == pytest.approx(rows_of(sweep)[0].means["gospa"])
     assert float(rows[0]["missed_ci"]) >= 0
     assert matplotlib.image.imread(figure).std() > 0
+
+
+def test_the_figure_shows_the_metric_that_is_wanted(sweep, tmp_path, monkeypatch):
+    figures = []
+    monkeypatch.setattr(
+        collect, "interval_figure", lambda *of: figures.append(interval_figure(*of)) or figures[-1]
+    )
+    main([str(sweep / "0"), "--figure", str(tmp_path / "runs.png"), "--metric", "missed"])
+    assert [figure.axes[0].get_ylabel() for figure in figures] == ["missed"]
 
 
 def test_sequences_of_a_batch_count_one_by_one(tmp_path, sweep):

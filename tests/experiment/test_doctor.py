@@ -9,6 +9,7 @@ import torch
 from oracles.scripts import call
 
 from torchdt.experiment import doctor
+from torchdt.tracking import track
 
 
 @pytest.fixture
@@ -58,9 +59,29 @@ def test_a_check_that_fails_is_an_exit_status(diagnose, tmp_path, monkeypatch):
 
 
 def test_tracks_that_are_wrong(monkeypatch):
-    monkeypatch.setattr(doctor, "WORST_GOSPA", 0.01)
-    with pytest.raises(RuntimeError, match=r"GOSPA is 0\.\d\d degrees, expected less than 0.01"):
+    """Nothing is reported."""
+
+    def nothing(*of):
+        history = track(*of)
+        return history._replace(declared=torch.zeros_like(history.declared))
+
+    monkeypatch.setattr(doctor, "track", nothing)
+    with pytest.raises(RuntimeError, match=r"GOSPA is [5-9]\.\d\d degrees, expected less than 1$"):
         doctor.check_tracking(torch.device("cpu"))
+
+
+def test_each_device_is_tried(monkeypatch, tmp_path):
+    """One without numbers fails."""
+    monkeypatch.setattr(doctor, "devices", lambda: [torch.device("meta")])
+    monkeypatch.setattr(doctor, "check_gradient", lambda: "as expected")
+    passed = {check.name: check.passed for check in doctor.run_checks(tmp_path)}
+    assert passed == {"files": True, "tracking on meta": False, "gradient": True}
+
+
+def test_every_accelerator_is_a_device(monkeypatch):
+    monkeypatch.setattr(torch.accelerator, "current_accelerator", lambda: torch.device("cuda"))
+    monkeypatch.setattr(torch.accelerator, "device_count", lambda: 2)
+    assert [str(device) for device in doctor.devices()] == ["cpu", "cuda:0", "cuda:1"]
 
 
 @pytest.mark.parametrize("factor", [1.001, math.nan])

@@ -121,6 +121,7 @@ def test_hyperparameters(name):
     """All can be tuned in a waveguide without calibration, on covariances."""
     scenario = (
         "scenario=matched_20",
+        "field.freqs=[49,79]",
         "scenario.num_steps=1",
         "scenario.num_snapshots=40",
         "calibration=none",
@@ -136,6 +137,7 @@ def test_hyperparameters(name):
     values = hyperparameters()
     assert set(values) == set(chosen.hyperparameters)
     assert all(torch.as_tensor(value).isfinite().all() for value in values.values())
+    assert hyperparameters.log_prior().isfinite()
     assert len(families) == 1
 
 

@@ -8,6 +8,7 @@ import pytest
 from oracles.scripts import call, load
 
 from torchdt.experiment import track
+from torchdt.experiment.job import job
 
 FINE, BROKEN = SimpleNamespace(error=""), SimpleNamespace(error="what went wrong")
 
@@ -37,14 +38,18 @@ def test_exit_status(start, result, status):
 
 
 def test_rows_that_failed_are_a_failed_job_of_a_sweep(start):
-    status, jobs = start([FINE, BROKEN], "-m", "seed=0,1")
+    status, (job,) = start([FINE, BROKEN], "-m", "seed=3")
     assert status == 1
-    assert [(job["status"], job["error"]) for job in jobs] == [
-        ("failed", "RuntimeError: 1 of 2 parts failed")
-    ] * 2
+    assert (job["status"], job["error"]) == ("failed", "RuntimeError: 1 of 2 parts failed")
 
 
 def test_numbers_are_for_sweeps(start):
-    status, jobs = start(0.5, "-m", "seed=0,1")
+    status, (job,) = start(0.5, "-m", "seed=3")
     assert status == 0
-    assert [job["result"] for job in jobs] == [0.5, 0.5]
+    assert job["result"] == 0.5
+
+
+@pytest.mark.parametrize(("result", "returned"), [(0.5, 0.5), ([FINE, FINE], None)])
+def test_rows_are_not_for_sweeps(monkeypatch, result, returned):
+    monkeypatch.setattr(track, "run_track", lambda config: result)
+    assert job("track").__wrapped__(None) == returned

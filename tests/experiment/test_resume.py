@@ -14,6 +14,8 @@ import torch
 from oracles.scripts import FOLDER, SMALL
 from oracles.storage import full_disk
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.summary.writer.record_writer import RecordWriter
+from torch.utils.tensorboard import SummaryWriter
 
 from torchdt import keeper
 from torchdt.checkpoint import save_checkpoint
@@ -157,25 +159,42 @@ def test_events_go_on(start, tmp_path):
 
 
 def test_events_are_there_before_the_checkpoint(start, tmp_path):
-    """They are written by a thread, which `flush` waits for."""
-    save, flush, done = keeper.save_checkpoint, LiveReport.flush, []
+    """They are written by a thread, slow here, which `flush` waits for."""
+    save, flush, add, write = (
+        keeper.save_checkpoint,
+        LiveReport.flush,
+        SummaryWriter.add_scalar,
+        RecordWriter.write,
+    )
+    added, done = set(), []
+
+    def note_and_add(self, tag, value, step):
+        added.add((tag, step))
+        add(self, tag, value, step)
+
+    def write_slowly(self, data):
+        time.sleep(0.002)
+        write(self, data)
 
     def flush_and_look(self):
         flush(self)
         events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
-        done.append([event.step for event in events.Scalars("gospa/total")])
+        found = {(tag, event.step) for tag in events.Tags()["scalars"] for event in events.Scalars(tag)}
+        done.append((found == added, len({step for _, step in found})))
 
     def note_and_save(path, *arguments):
         done.append(path.name)
         save(path, *arguments)
 
     with (
+        mock.patch.object(SummaryWriter, "add_scalar", note_and_add),
+        mock.patch.object(RecordWriter, "write", write_slowly),
         mock.patch.object(LiveReport, "flush", flush_and_look),
         mock.patch.object(keeper, "save_checkpoint", note_and_save),
     ):
         start(tmp_path, "logging.tensorboard=true")
     assert done[0] == "plan.pt"
-    assert done[1::2] == [list(range(k + 1)) for k in range(5)]
+    assert done[1::2] == [(True, k + 1) for k in range(5)]
     assert done[2::2] == ["0-0.pt"] * 5
 
 
@@ -352,9 +371,10 @@ def test_a_repeated_sweep_does_what_is_left(launch, tmp_path):
 
 
 def test_killed_twice_at_random(start, tmp_path):
-    """At once, or up to half a second, after each sequence has its first checkpoint."""
-    long = ("runs=2", ALONE, "scenario.num_steps=60")
+    """At once, or up to half the time of a sequence, after each has its first checkpoint."""
+    long = ("runs=2", ALONE, "scenario.num_steps=40")
     expected = start(tmp_path / "whole", *long)
+    longest = expected.json("metrics.json")["seconds"] / 4
     directory, killed = tmp_path / "killed", []
     command = [sys.executable, FOLDER / "track.py", "logging=quiet", *SMALL, *LINE, *long, ALWAYS]
     environment = os.environ | {"OMP_NUM_THREADS": str(torch.get_num_threads())}  # rounds alike
@@ -364,7 +384,7 @@ def test_killed_twice_at_random(start, tmp_path):
             while not path.exists():
                 assert process.poll() is None
                 time.sleep(0.01)
-            delay = random.SystemRandom().uniform(0, 0.5)
+            delay = random.SystemRandom().uniform(0, longest)
             time.sleep(delay)
             process.kill()
         assert process.returncode == -signal.SIGKILL

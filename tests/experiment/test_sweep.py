@@ -7,7 +7,9 @@ import pytest
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.types import RunMode
 from omegaconf import OmegaConf
+from oracles.storage import full_disk
 
+from torchdt.errors import StorageError
 from torchdt.experiment.sweep import SweepReport
 
 
@@ -62,6 +64,35 @@ def test_a_job_whose_process_ended_is_not_lost(report, config, tmp_path, caplog)
         report.on_multirun_end(config)
     assert "job 3 failed, seed=3: its process ended" in caplog.text
     assert json.loads((tmp_path / "sweep.json").read_text())["jobs"][0]["status"] == "running"
+
+
+@pytest.mark.parametrize("status", [JobStatus.COMPLETED, JobStatus.FAILED])
+def test_a_job_that_cannot_be_noted_is_an_error_of_the_sweep(report, config, status):
+    job = ended(status, ValueError("wrong") if status is JobStatus.FAILED else 2.5)
+    with full_disk():
+        report.on_job_end(config, job)
+    with pytest.raises(StorageError, match=r"cannot write .*/3/job\.json: No space left on device"):
+        job.return_value  # noqa: B018
+
+
+def test_a_sweep_that_cannot_be_noted_fails(report, config, caplog):
+    report.on_job_end(config, ended(JobStatus.COMPLETED, 2.5))
+    with full_disk(), pytest.raises(SystemExit, match="1"):
+        report.on_multirun_end(config)
+    assert "sweep.json: No space left on device" in caplog.text
+
+
+def test_jobs_are_in_order(report, config, tmp_path):
+    """Job 3 is there; launchers start the others when they like."""
+    for number in (10, 2):
+        config.hydra.job.num = number
+        config.hydra.runtime.output_dir = str(tmp_path / str(number))
+        (tmp_path / str(number)).mkdir()
+        report.on_job_start(config)
+    with pytest.raises(SystemExit):
+        report.on_multirun_end(config)
+    jobs = json.loads((tmp_path / "sweep.json").read_text())["jobs"]
+    assert [job["number"] for job in jobs] == [2, 3, 10]
 
 
 def test_a_single_run_keeps_its_error(config, tmp_path):

@@ -1,3 +1,4 @@
+import csv
 import json
 from unittest import mock
 
@@ -108,7 +109,9 @@ def test_metrics_of_the_row_are_those_of_the_files(sweep, direct, points):
             assert "log_likelihood_per_step" not in values
         else:
             assert values["log_likelihood_per_step"] == pytest.approx(metrics["log_likelihood"] / 5)
-        assert 0 < values["declared"] <= 4
+        with (sweep.directory / folder / "gospa.csv").open(newline="") as file:
+            declared = [int(row["num_estimated"]) for row in csv.DictReader(file)]
+        assert values["declared"] == pytest.approx(sum(declared) / len(declared))
 
 
 def test_a_run_that_goes_on_shows_every_step_once(tmp_path):

@@ -20,7 +20,6 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from torchdt.errors import InputError
 from torchdt.experiment.build import simulate
 from torchdt.experiment.settings import settings_of
-from torchdt.experiment.tunable import build_problem, gather
 from torchdt.scenario.npz import write_npz
 from torchdt.tuning.tracker import TrackerObjective
 
@@ -360,19 +359,6 @@ def test_every_tuning_option_composes():
             settings = settings_of(compose("tune", overrides=[f"tuning={option}"]))
         assert settings.tuning.method == option
         assert set(settings.hyperparameters) == set(NAMES)
-
-
-@pytest.mark.parametrize("option", ["robustness", "environment"])
-def test_every_choice_of_hyperparameters_starts(option):
-    """In the scenario that it is for, every entry has a start that its support allows."""
-    overrides = [f"hyperparameters={option}", "scenario=mismatch", "calibration=none", "scenario.num_steps=2"]
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
-        settings = settings_of(compose("tune", overrides=[*overrides, "field.freqs=[49,79]"]))
-    problem = build_problem(settings, settings.hyperparameters, [gather(settings, [0], [], False)])
-    values = problem.hyperparameters()
-    assert set(values) == set(settings.hyperparameters)
-    assert values["mismatch_share"].shape == (2,)
-    assert problem.hyperparameters.log_prior().isfinite()
 
 
 def test_settings_survive_a_change():

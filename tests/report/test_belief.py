@@ -32,6 +32,7 @@ def test_points_have_one_value_for_a_power(state, estimate):
     assert torch.equal(belief.power, estimate.power[..., None])
     assert torch.equal(belief.power_weight, torch.ones(3, 2, 1))
     assert torch.equal(belief.particles, known.state)
+    torch.testing.assert_close(belief.weight.sum(-1), torch.ones(3))
 
 
 def test_other_states_say_nothing(estimate):

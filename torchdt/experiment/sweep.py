@@ -14,6 +14,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from torchdt.errors import StorageError
 from torchdt.experiment.quality import one_line
 from torchdt.report.files import write_json
 
@@ -44,7 +45,7 @@ class SweepReport(Callback):
             self._write(config, status="running")
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
-        """Note what became of the job; a failed one returns NaN."""
+        """Note what became of the job; a failed one returns NaN, one that cannot be noted an error."""
         if not _is_sweep(config):
             return
         result, error = job_return._return_value, None  # the property would raise the error
@@ -52,29 +53,36 @@ class SweepReport(Callback):
             log.error("job %d failed", config.hydra.job.num, exc_info=result)
             error = one_line(result)
             job_return.return_value, job_return.status = math.nan, JobStatus.COMPLETED
-        self._write(
-            config,
-            status="failed" if error else "completed",
-            error=error,
-            seconds=time.perf_counter() - self._start,
-            result=result if isinstance(result, int | float) else None,
-        )
+        try:
+            self._write(
+                config,
+                status="failed" if error else "completed",
+                error=error,
+                seconds=time.perf_counter() - self._start,
+                result=result if isinstance(result, int | float) else None,
+            )
+        except StorageError as unknown:  # to the end of the sweep; the sweeper raises it after the last job
+            job_return.return_value, job_return.status = unknown, JobStatus.FAILED
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Write `sweep.json` and name the jobs that failed.
 
         Raises:
-            SystemExit: with status 1, where a job failed.
+            SystemExit: with status 1, where a job failed or `sweep.json` cannot be written.
         """
         directory = Path(config.hydra.sweep.dir)
         found = [json.loads(path.read_text()) for path in directory.rglob("job.json")]
         jobs = sorted((job for job in found if job["sweep"] == self._sweep), key=lambda job: job["number"])
         failed = [job for job in jobs if job["status"] != "completed"]
-        write_json(directory / "sweep.json", {"failed": len(failed), "jobs": jobs})
         for job in failed:
             error = job.get("error", "its process ended")
             log.error("job %d failed, %s: %s", job["number"], " ".join(job["overrides"]), error)
         log.info("%d of %d jobs completed, results in %s", len(jobs) - len(failed), len(jobs), directory)
+        try:
+            write_json(directory / "sweep.json", {"failed": len(failed), "jobs": jobs})
+        except StorageError as error:  # of which Hydra would only warn
+            log.error("%s", error)
+            raise SystemExit(1) from error
         if failed:
             raise SystemExit(1)
 

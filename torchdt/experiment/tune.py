@@ -62,10 +62,8 @@ def run_tune(config: DictConfig) -> float | None:
     write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), settings.seed))
     state = job.run(known)
     log.info("results in %s", directory)
-    log.info(
-        "track with the tuned values: python experiments/track.py --config-dir=%s --config-name=tuned",
-        directory.resolve(),
-    )
+    place = directory.resolve()
+    log.info("track with the tuned values: torchdt track --config-dir=%s --config-name=tuned", place)
     return None if state.best_heldout is None else -state.best_heldout
 
 

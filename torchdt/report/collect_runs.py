@@ -60,10 +60,10 @@ def read_runs(directory: Path) -> list[Run]:
     }
     settings, chosen = _read_settings(directory)
     scores = _read_scores(directory / "gospa.csv")
+    sequences = contents["metrics.json"].get("num_runs", 1)
     variants = _read_csv(directory / "variants.csv")
     if variants:
-        return _split(Run(settings, chosen, scores, len(scores.get("gospa", ()))), variants)
-    sequences = contents["metrics.json"].get("num_runs", 1)
+        return _split(Run(settings, chosen, scores, sequences), variants)
     return [Run(settings, chosen, scores | metrics, sequences)]
 
 

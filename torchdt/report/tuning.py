@@ -94,7 +94,7 @@ def write_tuned(path: str | os.PathLike[str], values: Values) -> None:
     if draw:
         content["field"] = {"draw": draw}
         content["calibration"] = {"enabled": False}
-    command = f"python experiments/track.py --config-dir={path.parent.resolve()} --config-name={path.stem}"
+    command = f"torchdt track --config-dir={path.parent.resolve()} --config-name={path.stem}"
     header = f"# Tuned values, to combine with any scenario=... and other overrides:\n# {command}\n"
     with atomic_write(path) as file:
         file.write((header + OmegaConf.to_yaml(content)).encode())
