@@ -93,6 +93,10 @@ def test_gradient_that_is_wrong(monkeypatch, factor):
 
 
 def test_missing_packages_are_named():
-    requirements = ["hydra-core>=1", 'nowhere-to-be-found>=2; extra == "far"']
+    requirements = [
+        "hydra-core>=1",
+        'nowhere-to-be-found>=2; extra == "far"',
+        'torchdt[far]; extra == "further"',
+    ]
     with mock.patch.object(doctor, "requires", return_value=requirements):
         assert doctor.extras() == {"far": "nowhere-to-be-found missing"}

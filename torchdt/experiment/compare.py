@@ -120,6 +120,8 @@ def run_compare(config: DictConfig) -> list[Comparison]:
     plain = dataclasses.asdict(settings)
     fingerprint = {key: value for key, value in plain.items() if key != "tensorboard"}
     done = load_outcomes(directory / "checkpoint.pt", fingerprint)
+    if done:
+        log.info("going on, %d rows were done", sum(map(len, done.values())))
     write_json(directory / "manifest.json", manifest(plain, settings.seed))
     rows: list[Comparison] = []
     for scenario in settings.suite:

@@ -95,10 +95,10 @@ def version_of(package: str) -> str:
 
 
 def extras() -> dict[str, str]:
-    """The packages behind each extra, with their versions."""
+    """The packages behind each extra, with their versions; not those that it takes from other extras."""
     found: dict[str, list[str]] = {}
     for requirement in requires("torchdt") or ():
-        if match := re.match(r"([\w.-]+).*extra == [\"'](\w+)", requirement):
+        if match := re.match(r"(?!torchdt\b)([\w.-]+).*extra == [\"'](\w+)", requirement):
             package, extra = match.groups()
             found.setdefault(extra, []).append(f"{package} {version_of(package)}")
     return {extra: ", ".join(packages) for extra, packages in found.items()}

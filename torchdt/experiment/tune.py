@@ -59,6 +59,8 @@ def run_tune(config: DictConfig) -> float | None:
     ]
     hyperparameters, families = build_problem(settings, settings.hyperparameters, sets)
     job = TuneJob(settings, directory, fingerprint, hyperparameters, sets, families)
+    if known is not None and not known.finished:
+        log.info("going on after %d steps", len(known.records))
     write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), settings.seed))
     state = job.run(known)
     log.info("results in %s", directory)

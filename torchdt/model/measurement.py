@@ -60,9 +60,7 @@ class Measurement(NamedTuple):
         Args:
             num_snapshots: J > 0, real, broadcastable to `(*batch, I)`.
         """
-        heard = self.num_snapshots > 0
-        ratio = num_snapshots / torch.where(heard, self.num_snapshots, 1.0)
-        return self.tempered(torch.where(heard, ratio, 0.0))
+        return self.tempered(num_snapshots / torch.where(self.num_snapshots > 0, self.num_snapshots, 1.0))
 
 
 def from_snapshots(snapshots: Tensor) -> Measurement:

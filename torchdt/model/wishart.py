@@ -47,9 +47,8 @@ def log_normaliser(measurement: Measurement, count: Tensor) -> Tensor:
             f"{int(size.max())} sensors, which has a density from above {int(size.max()) - 1} on"
         )
     factor = measurement.factor.to(torch.complex128)
-    # Missing sensors, and all sensors of a step without data, add ones to the diagonal.
-    missing = torch.where(heard[..., None], 1.0 - present, 1.0)
-    scatter = factor @ factor.mH + torch.diag_embed(missing).to(factor)
+    # Missing sensors, which all are in a step without data, add ones to the diagonal.
+    scatter = factor @ factor.mH + torch.diag_embed(1.0 - present).to(factor)
     lower = cholesky(scatter, "sample covariance")
     unit = torch.where(heard, given, 1.0)
     log_det = 2 * lower.diagonal(dim1=-2, dim2=-1).real.log().sum(-1) - size * unit.log()
