@@ -98,7 +98,7 @@ def test_a_dropped_object_leaves_no_label():
     assert next_label.tolist() == OLD.next_label.tolist()
 
 
-def test_estimates_are_means_of_the_posterior():
+def test_estimates_are_moments_of_the_posterior():
     """Slots 1 and 0 by strength, each with the particles of the step and the weights after the data."""
     prior, beliefs, (objects, _, estimate) = end(
         [[0.9, 0.9, 0.0], [0.8, 0.7, 0.0]], [[3, 4, 0], [1, 0, 0]], [1.0, 2.0, 4.0]
@@ -109,6 +109,8 @@ def test_estimates_are_means_of_the_posterior():
             assert torch.equal(objects.state[b, slot], prior.state[b, source])
             assert torch.equal(objects.log_weight[b, slot], beliefs.objects.log_weight[b, source])
             torch.testing.assert_close(estimate.state[b, slot], weight @ prior.state[b, source])
+            covariance = torch.cov(prior.state[b, source].T, correction=0, aweights=weight)
+            torch.testing.assert_close(estimate.state_std[b, slot], covariance.diagonal().sqrt())
             torch.testing.assert_close(estimate.effective_sample_size[b, slot], 1 / weight.square().sum())
             tone = beliefs.objects.log_power_weight[b, source].exp()
             torch.testing.assert_close(estimate.power[b, slot], (tone * prior.power[b, source]).sum(-1))

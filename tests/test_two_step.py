@@ -72,7 +72,7 @@ def assert_same(found: TrackHistory, expected: TrackHistory, rtol: float, atol: 
     assert torch.equal(found.label[alive], expected.label[alive])
     for name in ("existence", "noise"):
         torch.testing.assert_close(getattr(found, name), getattr(expected, name), rtol=rtol, atol=atol)
-    for name in ("state", "power"):
+    for name in ("state", "state_std", "power"):
         values = getattr(found, name)[alive], getattr(expected, name)[alive]
         torch.testing.assert_close(*values, rtol=rtol, atol=atol)
 

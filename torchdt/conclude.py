@@ -8,7 +8,7 @@ from torchdt.config import ObjectConfig, TrackerConfig
 from torchdt.history import TrackHistory
 from torchdt.model.region import Region
 from torchdt.particles.resampling import roughen, stop_gradient_weights, systematic_indices
-from torchdt.particles.weights import effective_sample_size
+from torchdt.particles.weights import effective_sample_size, standard_deviation
 from torchdt.random import RandomStreams
 from torchdt.slots import fit_slots
 from torchdt.state import Objects, TrackerState, weighted_mean
@@ -48,6 +48,7 @@ def conclude(
         declared=declared,
         label=label,
         state=weighted_mean(objects.state.mT, objects.log_weight[..., None, :]),
+        state_std=standard_deviation(objects.state, objects.log_weight),
         power=objects.mean_power,
         noise=beliefs.noise.mean,
         effective_sample_size=effective_sample_size(objects.log_weight),

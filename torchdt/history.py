@@ -16,6 +16,7 @@ class TrackHistory(NamedTuple):
         declared: `(*batch, K, N)` bool, the object is reported.
         label: `(*batch, K, N)` int64, identity of the track in the slot; 0 = none yet.
         state: `(*batch, K, N, D)` minimum mean-square error (MMSE) estimates given existence.
+        state_std: `(*batch, K, N, D)` standard deviations of the state given existence, in its units.
         power: `(*batch, K, N, I)` MMSE transmit power per tone, in squared units of the data.
         noise: `(*batch, K, I)` MMSE noise variance per tone, in squared units of the data.
         effective_sample_size: `(*batch, K, N)` of the state particles, in particles.
@@ -26,6 +27,7 @@ class TrackHistory(NamedTuple):
     declared: Tensor
     label: Tensor
     state: Tensor
+    state_std: Tensor
     power: Tensor
     noise: Tensor
     effective_sample_size: Tensor

@@ -36,7 +36,7 @@ def assert_same(found: TrackHistory, expected: TrackHistory, **tolerance) -> Non
     for name in ("existence", "declared", "noise"):
         torch.testing.assert_close(getattr(found, name), getattr(expected, name), **tolerance)
     alive = expected.existence > 0
-    for name in ("label", "state", "power"):
+    for name in ("label", "state", "state_std", "power"):
         torch.testing.assert_close(getattr(found, name)[alive], getattr(expected, name)[alive], **tolerance)
 
 

@@ -36,8 +36,9 @@ from torchdt.metrics.gospa import gospa
 
 def test_one_object_has_the_exact_posterior():
     """Points at hand, some of them false, among which no object is born; 40 particle filters beside the exact
-    mixture of all associations. The means of their estimates of 4 coordinates and of existence after each of
-    5 steps lie within the quantile of Student's t that 25 numbers exceed together with probability 1e-5."""
+    mixture of all associations. The means of their estimates of 4 coordinates, of their variances and of
+    existence after each of 5 steps lie within the quantile of Student's t that 45 numbers exceed together
+    with probability 1e-5."""
     seeds, survival, volume = list(range(40)), 0.9, 1000.0 * 500.0
     tracker = make_tracker(
         slots=2, particles=3000, roughening=0.0, survival=survival, birth_mean=1e-12, clutter_mean=50.0
@@ -64,7 +65,7 @@ def test_one_object_has_the_exact_posterior():
         torch.diag(deviation.square())[None],
         torch.zeros((), dtype=F64),
     )
-    quantile = student.ppf(1 - 1e-5 / (2 * 25), len(seeds) - 1)
+    quantile = student.ppf(1 - 1e-5 / (2 * 45), len(seeds) - 1)
     for k, found in enumerate(positions):
         exact = pda.step(
             exact,
@@ -77,13 +78,17 @@ def test_one_object_has_the_exact_posterior():
             clutter=50.0 / volume,
         )
         mixture_mean, covariance = exact.moments
-        expected = torch.cat([mixture_mean, exact.log_odds[None]])
-        estimate = torch.cat([history.state[:, k, 0], torch.logit(history.existence[:, k, :1])], -1)
+        expected = torch.cat([mixture_mean, covariance.diagonal(), exact.log_odds[None]])
+        found_log_odds = torch.logit(history.existence[:, k, :1])
+        estimate = torch.cat(
+            [history.state[:, k, 0], history.state_std[:, k, 0].square(), found_log_odds], -1
+        )
         error, standard_error = estimate.mean(0) - expected, estimate.std(0) / len(seeds) ** 0.5
         assert (error.abs() < quantile * standard_error).all(), k
         # The bound is narrow beside the posterior itself.
         assert (standard_error[:4] < 0.03 * covariance.diagonal().sqrt()).all()
-        assert standard_error[4] < 0.03
+        assert (standard_error[4:8] < 0.03 * covariance.diagonal()).all()
+        assert standard_error[8] < 0.03
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, F64])

@@ -7,6 +7,7 @@ from torchdt.particles.weights import (
     effective_sample_size,
     mean_and_covariance,
     normalise,
+    standard_deviation,
 )
 
 
@@ -58,3 +59,17 @@ def test_moments_equal_the_loop():
         c = sum(weight[b, p] * torch.outer(points[b, p] - m, points[b, p] - m) for p in range(6))
         torch.testing.assert_close(mean[b], m)
         torch.testing.assert_close(covariance[b], c)
+
+
+def test_standard_deviations_of_a_narrow_set_far_away_in_single_precision():
+    """Half a metre at five kilometres: squares that are not centred first would be off by metres."""
+    rng = torch.Generator().manual_seed(1)
+    points = (5000 + 0.5 * torch.randn(3, 1000, 2, generator=rng, dtype=torch.float64)).float()
+    log_weight = torch.rand(3, 1000, generator=rng).log_softmax(-1)
+    expected = [
+        torch.cov(p.double().T, correction=0, aweights=w.double().exp()).diagonal().sqrt().float()
+        for p, w in zip(points, log_weight, strict=True)
+    ]
+    torch.testing.assert_close(
+        standard_deviation(points, log_weight), torch.stack(expected), rtol=1e-5, atol=0
+    )

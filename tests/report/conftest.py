@@ -41,6 +41,7 @@ def history():
         declared=declared,
         label=label,
         state=state,
+        state_std=torch.tensor([2.0, 0.5, 0.25, 0.125]).expand_as(state).clone(),
         power=torch.tensor([10.0, 1000.0]).expand(B, K, N, I).clone(),
         noise=torch.tensor([1.0, 0.01]).expand(B, K, I).clone(),
         effective_sample_size=torch.full((B, K, N), 80.0),

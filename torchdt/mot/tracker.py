@@ -15,7 +15,7 @@ from torchdt.model.region import Region, per_coordinate
 from torchdt.mot.config import PointConfig
 from torchdt.mot.likelihood import PointLikelihood
 from torchdt.mot.update import update
-from torchdt.particles.weights import effective_sample_size, normalise
+from torchdt.particles.weights import effective_sample_size, normalise, standard_deviation
 from torchdt.random import RandomStreams
 from torchdt.slots import join, take_rows
 from torchdt.state import weighted_mean
@@ -117,6 +117,7 @@ class PointTracker:
             declared=declared,
             label=label,
             state=weighted_mean(objects.particles.mT, objects.log_weight.unsqueeze(-2)),
+            state_std=standard_deviation(objects.particles, objects.log_weight),
             power=objects.power,
             noise=points.noise,
             effective_sample_size=effective_sample_size(objects.log_weight),

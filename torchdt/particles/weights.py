@@ -31,9 +31,20 @@ def effective_sample_size(log_weight: Tensor) -> Tensor:
 
 def mean_and_covariance(points: Tensor, log_weight: Tensor) -> tuple[Tensor, Tensor]:
     """Weighted mean `(*batch, D)` and covariance `(*batch, D, D)` of points `(*batch, P, D)`."""
+    mean, centred, weight = _centred(points, log_weight)
+    return mean.to(points.dtype), ((weight * centred).mT @ centred).to(points.dtype)
+
+
+def standard_deviation(points: Tensor, log_weight: Tensor) -> Tensor:
+    """Weighted standard deviation `(*batch, D)` of each entry of points `(*batch, P, D)`."""
+    _, centred, weight = _centred(points, log_weight)
+    return (weight * centred.square()).sum(-2).sqrt().to(points.dtype)
+
+
+def _centred(points: Tensor, log_weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Weighted mean, points less that mean, and weights `(*batch, P, 1)`, in double precision."""
     # A sum of a thousand nearly equal squares loses four digits in single precision, enough to make the
     # covariance of a set of few distinct points indefinite.
     exact, weight = points.double(), log_weight.double().exp()[..., None]
     mean = (weight * exact).sum(-2)
-    centred = exact - mean[..., None, :]
-    return mean.to(points.dtype), ((weight * centred).mT @ centred).to(points.dtype)
+    return mean, exact - mean[..., None, :], weight

@@ -64,12 +64,14 @@ def write_tracks_csv(
     if len(coordinates) != history.state.shape[-1]:
         raise ValueError(f"coordinates: found {len(coordinates)}, expected {history.state.shape[-1]} names")
     powers = [f"power_{tone}" for tone in range(1, history.power.shape[-1] + 1)]
-    header = ("run", "step", "time_s", "label", "existence", *coordinates, *powers)
+    deviations = [f"std_{coordinate}" for coordinate in coordinates]
+    header = ("run", "step", "time_s", "label", "existence", *coordinates, *powers, *deviations)
 
     index = history.declared.nonzero(as_tuple=True)
     run, step = (axis.tolist() for axis in index[:2])
     label, existence = history.label[index].tolist(), history.existence[index].tolist()
-    values = torch.cat([history.state[index], history.power[index].to(history.state)], -1).tolist()
+    parts = history.state, history.power, history.state_std
+    values = torch.cat([part[index].to(history.state) for part in parts], -1).tolist()
     rows = ((run[i], step[i], step[i] * step_s, label[i], existence[i], *values[i]) for i in range(len(run)))
     _write_csv(path, header, rows)
 
