@@ -4,9 +4,13 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import BinaryIO
 
 from torchdt.errors import StorageError
+
+PROBE = 1 << 16
+"""More than a job's configuration and the first lines of its log, bytes."""
 
 
 @contextmanager
@@ -46,3 +50,17 @@ def storing(path: str | os.PathLike[str]) -> Iterator[None]:
         raise
     except OSError as error:
         raise StorageError.of_path(path, error) from error
+
+
+def check_writable(directory: str | os.PathLike[str]) -> None:
+    """Make a folder, if absent, and see that it takes `PROBE` bytes, of which nothing stays.
+
+    Raises:
+        StorageError: where it does not.
+    """
+    with storing(directory):
+        Path(directory).mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=directory) as file:
+            file.write(bytes(PROBE))
+            file.flush()
+            os.fsync(file.fileno())

@@ -9,6 +9,8 @@ from importlib.metadata import version
 import hydra
 from omegaconf import DictConfig
 
+from torchdt.endings import INTERRUPTED, end
+
 JOBS = {
     "track": "track a scenario or a recording",
     "tune": "tune the model on the likelihood of sequences, by gradient or search",
@@ -50,7 +52,10 @@ def main() -> None:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
     for name, summary in COMMANDS.items():
         commands.add_parser(name, help=summary, add_help=False)
-    start(parser.parse_args(sys.argv[1:2]).command)
+    try:
+        start(parser.parse_args(sys.argv[1:2]).command)
+    except KeyboardInterrupt:
+        end(INTERRUPTED, "interrupted")
 
 
 def start(name: str) -> None:

@@ -14,9 +14,9 @@ MISMATCH = "scenario.mismatch"
 def fails(outcome, *words):
     assert outcome.status == 1
     assert outcome.values == []
-    message = outcome.err[outcome.err.rfind("InputError") :] if "InputError" in outcome.err else outcome.err
     for word in words:
-        assert word in message, message
+        assert word in outcome.err
+    assert "Traceback" not in outcome.err
     assert not (outcome.directory / "metrics.json").exists()
 
 
@@ -145,7 +145,7 @@ def test_field_that_cannot_be_built(launch, override, words):
 def test_what_the_schema_alone_lets_through(launch, overrides):
     key = overrides[0].lstrip("+").partition("=")[0].replace("field", "coordinates")
     name = key.rpartition(".")[2] if key != "data" else "data.path"
-    fails(launch(*overrides), "InputError", name, "found", "expected")
+    fails(launch(*overrides), name, "found", "expected")
 
 
 @pytest.fixture

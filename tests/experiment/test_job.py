@@ -1,14 +1,21 @@
-"""What a job makes of the result of its function: a number for sweeps, or rows that may have failed."""
+"""What a job makes of the result of its function, and in what words it ends where there is none."""
 
+import errno
 import functools
 import json
+import logging
+import threading
 from types import SimpleNamespace
 
 import pytest
 from oracles.scripts import call, load
+from oracles.storage import full_disk
 
+from torchdt import cli
+from torchdt.errors import InputError, StorageError
 from torchdt.experiment import track
 from torchdt.experiment.job import job
+from torchdt.experiment.sweep import SweepReport
 
 FINE, BROKEN = SimpleNamespace(error=""), SimpleNamespace(error="what went wrong")
 
@@ -53,3 +60,93 @@ def test_numbers_are_for_sweeps(start):
 def test_rows_are_not_for_sweeps(monkeypatch, result, returned):
     monkeypatch.setattr(track, "run_track", lambda config: result)
     assert job("track").__wrapped__(None) == returned
+
+
+@pytest.fixture
+def stop(tmp_path, monkeypatch):
+    """Exit status and standard error of a job whose function raises something, in `tmp_path`."""
+
+    def stop(error, *arguments, before=lambda: None, **keys):
+        @functools.wraps(track.run_track)
+        def run(config):
+            before()
+            raise error
+
+        monkeypatch.setattr(track, "run_track", run)
+        places = (f"hydra.run.dir={tmp_path}", f"hydra.sweep.dir={tmp_path}")
+        status, _, err = call(load("track"), *arguments, *places, **keys)
+        return status, err
+
+    return stop
+
+
+@pytest.mark.parametrize("kind", [InputError, StorageError])
+def test_errors_from_outside_are_said_in_a_line(stop, kind):
+    assert stop(kind("key 'a': found b, expected c")) == (1, "key 'a': found b, expected c\n")
+
+
+def test_other_errors_keep_their_traceback(stop):
+    status, err = stop(ValueError("a fault"))
+    assert status == 1
+    assert "Traceback" in err
+    assert "ValueError: a fault" in err
+
+
+def test_traceback_on_request(stop):
+    with pytest.raises(InputError, match="a line"):
+        stop(InputError("a line"), full_error=True)
+
+
+@pytest.mark.parametrize(("name", "ends"), [("checkpoint.pt", "goes on"), ("notes.txt", "starts anew")])
+def test_an_interrupted_run_says_how_to_go_on(stop, tmp_path, name, ends):
+    status, err = stop(KeyboardInterrupt(), before=(tmp_path / name).touch)
+    assert (status, err) == (130, f"interrupted; the same command with hydra.run.dir={tmp_path} {ends}\n")
+
+
+def test_an_interrupted_sweep_says_how_to_go_on(stop, tmp_path):
+    status, err = stop(KeyboardInterrupt(), "-m", "seed=0,1")
+    assert (status, err) == (130, f"interrupted; the same command with hydra.sweep.dir={tmp_path} goes on\n")
+
+
+def test_interrupted_before_the_job(monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(SweepReport, "on_run_start", interrupt)
+    assert call(load("track"), "hydra.run.dir=nowhere")[::2] == (130, "interrupted\n")
+    monkeypatch.setattr(cli, "start", interrupt)
+    monkeypatch.setattr(cli, "__file__", "track")  # the command
+    assert call(cli, "track")[::2] == (130, "interrupted\n")
+
+
+@pytest.mark.parametrize("mode", [(), ("-m", "seed=0,1")])
+def test_a_directory_that_cannot_be_made(tmp_path, mode):
+    (tmp_path / "file").touch()
+    place = tmp_path / "file" / "run"
+    status, _, err = call(load("track"), *mode, f"hydra.run.dir={place}", f"hydra.sweep.dir={place}")
+    assert (status, err) == (1, f"cannot write {place}: Not a directory\n")
+
+
+def test_a_disk_that_is_full_from_the_start(stop, tmp_path):
+    with full_disk():
+        status, err = stop(AssertionError("started"))
+    assert (status, err) == (1, f"cannot write {tmp_path}: No space left on device\n")
+
+
+def test_log_and_writers_do_not_echo_a_full_disk(stop, capsys):
+    """Each line would bring a traceback, and so would the thread that writes events."""
+
+    def write():
+        with open("/dev/full", "w") as file:
+            logging.StreamHandler(file).handle(logging.makeLogRecord({"msg": "line"}))
+            with pytest.raises(OSError, match="No space"):
+                file.close()
+        thread = threading.Thread(target=refused)
+        thread.start()
+        thread.join()
+
+    def refused():
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    status, err = stop(StorageError("cannot write it"), before=write)
+    assert (status, err) == (1, "cannot write it\n")

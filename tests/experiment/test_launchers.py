@@ -6,6 +6,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from hydra._internal.config_repository import ConfigRepository
 from joblib.externals.loky import get_reusable_executor
 from oracles.scripts import SMALL, call, load
 
@@ -111,10 +112,32 @@ def test_unknown_launcher(tmp_path, launcher):
     assert refused.status == 1
     assert f"Could not find 'hydra/launcher/{launcher}'" in refused.err
     assert set(LAUNCHERS) | {"slurm"} <= set(refused.err.split())
+    assert "pip install" not in refused.err
 
 
-def test_single_runs_fail_as_ever(launch):
+@pytest.mark.parametrize(
+    ("launcher", "plugin", "extra"),
+    [
+        ("processes", "joblib", "joblib"),
+        ("slurm", "submitit_slurm", "slurm"),
+        ("slurm_local", "submitit_local", "slurm"),
+        ("ray_pool", "ray", "ray"),
+    ],
+)
+def test_a_launcher_whose_package_is_missing(tmp_path, monkeypatch, launcher, plugin, extra):
+    known = ConfigRepository.load_config
+
+    def load_config(self, config_path):
+        return None if config_path == f"hydra/launcher/{plugin}" else known(self, config_path)
+
+    monkeypatch.setattr(ConfigRepository, "load_config", load_config)
+    refused = sweep(tmp_path, "seed=0,1", f"hydra/launcher={launcher}")
+    assert refused.status == 1
+    assert f"'hydra/launcher/{plugin}'" in refused.err
+    assert refused.err.splitlines()[-1] == f"This launcher is an extra: pip install 'torchdt[{extra}]'"
+
+
+def test_a_single_run_that_fails_says_why_and_no_more(launch):
     alone = launch("tracker.particles=-1")
-    assert alone.status == 1
-    assert ERROR in alone.err
+    assert (alone.status, alone.err) == (1, ERROR.removeprefix("InputError: ") + "\n")
     assert not (alone.directory / "job.json").exists()

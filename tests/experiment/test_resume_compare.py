@@ -121,7 +121,7 @@ def test_a_full_disk_and_a_row_that_failed(whole, tmp_path):
     with watched(("line_array", "direct")), full:
         status, _, err = start(tmp_path)
     assert status == 1
-    assert f"StorageError: cannot write {tmp_path / 'planar_array'}" in err
+    assert f"cannot write {tmp_path / 'planar_array'}" in err
     assert "No space left on device" in err
     assert [row["error"] for row in rows(tmp_path)] == ["RuntimeError: stopped", ""]
     with watched() as seen:

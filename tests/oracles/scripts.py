@@ -4,6 +4,7 @@ import contextlib
 import importlib.util
 import io
 import logging
+import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -34,13 +35,19 @@ def load(name: str) -> ModuleType:
     return script
 
 
-def call(script: ModuleType, *arguments: str, terminal: bool = False) -> tuple[int, str, str]:
-    """Exit status, standard output and standard error of `script.main`."""
+def call(
+    script: ModuleType, *arguments: str, terminal: bool = False, full_error: bool = False
+) -> tuple[int, str, str]:
+    """Exit status, standard output and standard error of `script.main`.
+
+    Tracebacks of `full_error` are a matter of the test alone, whatever the environment asks Hydra for.
+    """
     out, err = (Terminal(), Terminal()) if terminal else (io.StringIO(), io.StringIO())
     status = 0
     with (
         same_logging(),
         mock.patch.object(sys, "argv", [script.__file__, *arguments]),
+        mock.patch.dict(os.environ, {"HYDRA_FULL_ERROR": str(int(full_error))}),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from tempfile import TemporaryFile
 from unittest import mock
 
 from torchdt import atomic
@@ -14,5 +15,9 @@ def full_disk(fills: Callable[[], bool] = lambda: True) -> Iterator[None]:
     def opened(path, mode):
         return open("/dev/full" if fills() else path, mode)
 
-    with mock.patch.object(atomic, "open", opened, create=True):
+    def temporary(dir):
+        return open("/dev/full", "wb") if fills() else TemporaryFile(dir=dir)
+
+    probe = mock.patch.object(atomic, "TemporaryFile", temporary)
+    with mock.patch.object(atomic, "open", opened, create=True), probe:
         yield

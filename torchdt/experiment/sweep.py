@@ -14,6 +14,8 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from torchdt.atomic import check_writable
+from torchdt.endings import end, wants_traceback
 from torchdt.errors import StorageError
 from torchdt.experiment.quality import one_line
 from torchdt.report.files import write_json
@@ -22,7 +24,7 @@ log = logging.getLogger(__name__)
 
 
 class SweepReport(Callback):
-    """Hydra's callback of all jobs. A single run it leaves alone: that fails with its own error.
+    """Hydra's callback of all jobs. Of a single run it makes the directory only: that fails with its own error.
 
     Under `-m` each job keeps a `job.json` in its directory: `sweep` (its start), `number`, `overrides`,
     `status` (running, completed or failed), and from its end on `error` (one line or None), `seconds` and
@@ -34,8 +36,21 @@ class SweepReport(Callback):
     Launchers send the callback to the processes of the jobs, so that what it knows of the sweep goes with it.
     """
 
+    def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Make the directory, of which Hydra would say in a traceback that it cannot be written.
+
+        Raises:
+            SystemExit: with status 1, where that is so.
+        """
+        _make(config.hydra.run.dir)
+
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Note the start: the directory may hold jobs of an earlier sweep."""
+        """Make the directory, and note the start: it may hold jobs of an earlier sweep.
+
+        Raises:
+            SystemExit: with status 1, where the directory cannot be written.
+        """
+        _make(config.hydra.sweep.dir)
         self._sweep = datetime.now(UTC).isoformat()
 
     def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:
@@ -98,3 +113,11 @@ class SweepReport(Callback):
 
 def _is_sweep(config: DictConfig) -> bool:
     return config.hydra.mode is RunMode.MULTIRUN
+
+
+def _make(directory: str) -> None:
+    try:
+        check_writable(directory)
+    except StorageError as error:
+        if not wants_traceback():  # else it is Hydra's turn to find out
+            end(1, error)
