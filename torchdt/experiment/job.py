@@ -19,6 +19,7 @@ from omegaconf import DictConfig
 from torchdt.endings import INTERRUPTED, end, wants_traceback
 from torchdt.errors import InputError, StorageError
 from torchdt.experiment.progress import is_alone
+from torchdt.experiment.tuned import check_command_line
 
 log = logging.getLogger("py.warnings")
 
@@ -59,7 +60,12 @@ def job(name: str) -> Callable[[], None]:
     @functools.wraps(task)
     def main() -> None:
         try:
+            check_command_line(sys.argv[1:])
             start()
+        except InputError as error:
+            if wants_traceback():
+                raise
+            end(1, error)
         except KeyboardInterrupt:
             end(INTERRUPTED, "interrupted")
         except SystemExit as error:

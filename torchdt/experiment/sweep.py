@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 
 
 class SweepReport(Callback):
-    """Hydra's callback of all jobs. Of a single run it makes the directory only: that fails with its own error.
+    """Hydra's callback of all jobs. Of a single run it makes the directory alone, and its error is its own.
 
     Under `-m` each job keeps a `job.json` in its directory: `sweep` (its start), `number`, `overrides`,
     `status` (running, completed or failed), and from its end on `error` (one line or None), `seconds` and
