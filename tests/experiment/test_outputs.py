@@ -87,6 +87,7 @@ def test_value_is_mean_of_gospa_table(run):
 def test_tracks_table(run):
     assert run.columns("tracks.csv") == (
         ["run", "step", "time_s", "label", "existence", *LINE_ARRAY_COLUMNS, "power_1", "power_2"]
+        + [f"std_{column}" for column in LINE_ARRAY_COLUMNS]
     )
     rows = run.rows("tracks.csv")
     declared = [int(row["num_estimated"]) for row in run.rows("gospa.csv")]
@@ -95,12 +96,14 @@ def test_tracks_table(run):
         assert float(row["time_s"]) == int(row["step"]) * 1.0
         assert int(row["label"]) >= 1
         assert 0.5 < float(row["existence"]) <= 1
+        assert float(row["std_bearing_deg"]) > 0
 
 
 def test_tracks_table_of_a_waveguide(waveguide):
     powers = [f"power_{i}" for i in range(1, 8)]
     assert waveguide.columns("tracks.csv") == (
         ["run", "step", "time_s", "label", "existence", *WAVEGUIDE_COLUMNS, *powers]
+        + [f"std_{column}" for column in WAVEGUIDE_COLUMNS]
     )
 
 
