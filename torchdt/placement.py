@@ -11,7 +11,6 @@ from torchdt.config import TrackerConfig
 from torchdt.detect.dictionary import Dictionary
 from torchdt.field.base import Field
 from torchdt.field.stacked import select_field
-from torchdt.model.kinematics import drop_outside
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
@@ -136,7 +135,6 @@ class Placer:
                 gradient=cfg.gradient,
             )
             return Placed(*placed)
-        known = known._replace(log_weight=drop_outside(known.state, known.log_weight, self.region))
         first = update(
             known,
             predicted.response,

@@ -7,8 +7,9 @@ from torch import Tensor
 from torchdt.bp.schedule import Beliefs, as_belief, initial_beliefs
 from torchdt.field.base import Field
 from torchdt.model.gamma_chain import predict_chain
-from torchdt.model.kinematics import predict_log_odds, predict_moments, predict_state
+from torchdt.model.kinematics import condition_inside, predict_log_odds, predict_moments, predict_state
 from torchdt.model.parameters import Parameters, widen
+from torchdt.model.region import Region
 from torchdt.particles.transition import drive
 from torchdt.particles.weights import mean_and_covariance, normalise
 from torchdt.proposal.moved import diffuse_part, respond
@@ -33,6 +34,7 @@ class Predicted(NamedTuple):
 
 def predict(
     field: Field,
+    region: Region,
     parameters: Parameters,
     step_s: float,
     state: TrackerState,
@@ -40,10 +42,11 @@ def predict(
     gradient: str,
     enough: int | None = None,
 ) -> Predicted:
-    """Move objects, powers and existence by one step.
+    """Move objects, powers and existence by one step; an object that leaves the region ends.
 
     Args:
         field: array response.
+        region: region of interest.
         parameters: numbers of the model.
         step_s: time step in seconds.
         state: belief after the last step, strongest objects first; slots that are empty throughout the batch
@@ -58,13 +61,10 @@ def predict(
     variance = parameters.driving_variance.unsqueeze(-2)
     driving, log_ratio = drive(draws.narrow(dim, 0, occupied), variance, gradient)
     chain = predict_chain(old.power, old.log_power_weight, widen(parameters.power_shape, 2))
-    objects = Objects(
-        predict_state(old.state, driving, step_s),
-        old.log_weight + log_ratio,
-        *chain,
-        predict_log_odds(old.log_odds, widen(parameters.survival, 1)),
-        old.label,
-    )
+    moved = predict_state(old.state, driving, step_s)
+    log_weight, log_inside = condition_inside(moved, old.log_weight + log_ratio, region)
+    log_odds = predict_log_odds(old.log_odds, widen(parameters.survival, 1) * log_inside.exp())
+    objects = Objects(moved, log_weight, *chain, log_odds, old.label)
     moments = predict_moments(*mean_and_covariance(old.state, old.log_weight), step_s, variance)
     every = 1 if enough is None else max(1, objects.state.shape[-2] // enough)
     heard = objects

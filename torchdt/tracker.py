@@ -187,7 +187,8 @@ class DirectTracker(Tracker[TrackerState]):
         cfg = self.config
         # Adapted proposals draw particles of their own: of the predicted ones they need only the moments.
         enough = ENOUGH if cfg.proposal == "adapted" and cfg.evidence == "sampled" else None
-        return predict(self.field, self.parameters, self.step_s, state, draws, cfg.gradient, enough)
+        model = self.field, self.region, self.parameters, self.step_s
+        return predict(*model, state, draws, cfg.gradient, enough)
 
     def evidence(
         self,

@@ -59,10 +59,10 @@ def sample(measurement: Measurement, mean: float, deviation: float, log_odds: fl
 
 
 def quadrature(measurement: Measurement, mean: float, deviation: float, log_odds: float) -> float:
-    """Direct Gaussian likelihoods over bearing, power and noise of every tone."""
+    """Direct Gaussian likelihoods over bearing in the region, power and noise of every tone."""
     low, high = max(-70, mean - 8 * deviation), min(70, mean + 8 * deviation)
     grid = torch.linspace(low, high, 2001, dtype=F64)
-    log_prior = Normal(mean, deviation).log_prob(grid) + (grid[1] - grid[0]).log()
+    log_prior = Normal(mean, deviation).log_prob(grid).log_softmax(-1)
     response = FIELD(grid[:, None])
     there, nothing = log_prior, torch.zeros((), dtype=F64)
     for i in range(2):

@@ -3,7 +3,13 @@ import math
 import pytest
 import torch
 
-from torchdt.model.kinematics import drop_outside, predict_log_odds, predict_moments, predict_state
+from torchdt.model.kinematics import (
+    condition_inside,
+    drop_outside,
+    predict_log_odds,
+    predict_moments,
+    predict_state,
+)
 from torchdt.model.region import Coordinate, Region
 
 
@@ -60,3 +66,30 @@ def test_particles_outside_lose_their_weight():
     weight = torch.tensor([[0.2, 0.5, 0.3], [0.2, 0.5, 0.3]], dtype=torch.float64)
     kept = drop_outside(state.double(), weight.log(), region).exp()
     torch.testing.assert_close(kept, torch.tensor([[0.2, 0.0, 0.3], [0.0, 0.0, 0.0]], dtype=torch.float64))
+
+
+def test_weights_given_that_the_object_is_inside():
+    """Sets partly, wholly and not at all outside, and empty ones; float32 rounding is no death."""
+    region = Region([Coordinate("bearing", "deg", -10, 10, 2, -1, 1, 1e-3)])
+    state = torch.tensor([[0.0, -10.5, 9.9], [1.0, 2.0, 3.0], [11.0, 12.0, -20.0]])[..., None]
+    weight = torch.tensor([[0.2, 0.5, 0.3], [0.2, 0.5, 0.30001], [0.2, 0.5, 0.3]])
+    found, log_inside = condition_inside(state, weight.log(), region)
+    torch.testing.assert_close(found[0].exp(), torch.tensor([0.4, 0.0, 0.6]))
+    torch.testing.assert_close(log_inside[0].exp().item(), 0.5)
+    assert log_inside[1] == 0
+    assert torch.equal(found[1], weight[1].log())
+    assert log_inside[2].exp() < 1e-37
+    assert found[2].eq(-math.inf).all()
+
+
+def test_gradient_of_leaving():
+    """`P(inside)` and the weights in the former weights, against finite differences."""
+    region = Region([Coordinate("bearing", "deg", -10, 10, 2, -1, 1, 1e-3)], torch.float64)
+    state = torch.tensor([[0.0, -10.5, 9.9], [1.0, 2.0, 3.0]], dtype=torch.float64)[..., None]
+    weight = torch.tensor([[0.2, 0.5, 0.3], [0.2, 0.5, 0.3]], dtype=torch.float64).log().requires_grad_()
+
+    def kept(log_weight):
+        found, log_inside = condition_inside(state, log_weight, region)
+        return found.exp(), predict_log_odds(torch.zeros(2).double(), 0.9 * log_inside.exp())
+
+    assert torch.autograd.gradcheck(kept, weight)

@@ -59,9 +59,14 @@ def propose(objects: Objects, noise: Noise, measurement: Measurement):
 
 
 def quadrature(measurement: Measurement, mean: float, deviation: float):
-    """Log evidence ratio of the object, and mean and deviation of its bearing, on a fine grid."""
+    """Log evidence ratio of the object, and mean and deviation of its bearing, on a fine grid.
+
+    Given that it is in the region: the probability that it left is not part of its state.
+    """
     grid = torch.linspace(max(-70, mean - 8 * deviation), min(70, mean + 8 * deviation), 8001, dtype=F64)
-    prior = torch.distributions.Normal(mean, deviation).log_prob(grid)
+    normal = torch.distributions.Normal(mean, deviation)
+    inside = normal.cdf(torch.tensor([-70.0, 70.0], dtype=F64)).diff()
+    prior = normal.log_prob(grid) - inside.log()
     background = ETA * torch.eye(8, dtype=torch.complex128).expand(2, -1, -1)
     power = torch.logspace(-1, 1, 5, dtype=F64).expand(2, -1)
     message = state_message(

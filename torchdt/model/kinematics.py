@@ -56,12 +56,33 @@ def predict_log_odds(log_odds: Tensor, survival: Tensor | float) -> Tensor:
 
 
 def drop_outside(state: Tensor, log_weight: Tensor, region: Region) -> Tensor:
-    """Take the weight from particles that left the region.
+    """Take the weight from particles outside the region.
 
-    The weights are not renormalised: what is lost is the probability that the object left.
+    The weights are not renormalised: what is lost is the probability of being outside.
 
     Args:
         state: `(*batch, P, D)`.
         log_weight: `(*batch, P)`.
     """
     return torch.where(region.contains(state), log_weight, -torch.inf)
+
+
+def condition_inside(state: Tensor, log_weight: Tensor, region: Region) -> tuple[Tensor, Tensor]:
+    """Weights given that the object is in the region, and the logarithm of the probability that it is.
+
+    An object that leaves the region ends: `r' = p_s P(inside) r`, see `predict_log_odds`.
+
+    Args:
+        state: `(*batch, P, D)`.
+        log_weight: `(*batch, P)` normalised.
+
+    Returns:
+        Log-weights `(*batch, P)`, and log P(inside) `(*batch,)`: zero where no particle is outside, and never
+        below the smallest number of the type.
+    """
+    inside = region.contains(state)
+    kept = torch.where(inside, log_weight, -torch.inf)
+    smallest = torch.finfo(log_weight.dtype).tiny
+    # Not the sum of the weights where all are inside: their rounding, and its gradient, are no death.
+    log_inside = torch.where(inside.all(-1), 0.0, kept.exp().sum(-1).clamp_min(smallest).log())
+    return kept - log_inside[..., None], log_inside

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchdt.conclude import declare, idle_particles, prune, put_idle, resample_particles
 from torchdt.detect.points import Points
 from torchdt.history import TrackHistory
-from torchdt.model.kinematics import drop_outside, predict_log_odds, predict_state
+from torchdt.model.kinematics import condition_inside, predict_log_odds, predict_state
 from torchdt.model.region import Region, per_coordinate
 from torchdt.mot.config import PointConfig
 from torchdt.mot.likelihood import PointLikelihood
@@ -144,10 +144,8 @@ class PointTracker:
         old = PointObjects(*(t.narrow(dim, 0, occupied) for t in objects))
         driving = draws.narrow(dim, 0, occupied) * self._driving
         particles = predict_state(old.particles, driving, self.step_s)
-        log_weight, log_inside = normalise(drop_outside(particles, old.log_weight, self.region))
-        # An object that leaves the region ends. Rounding must not raise its existence.
-        survival = self.config.survival * log_inside.exp().clamp_max(1)
-        log_odds = predict_log_odds(old.log_odds, survival)
+        log_weight, log_inside = condition_inside(particles, old.log_weight, self.region)
+        log_odds = predict_log_odds(old.log_odds, self.config.survival * log_inside.exp())
         return old._replace(particles=particles, log_weight=log_weight, log_odds=log_odds)
 
     def _update(self, known: PointObjects, points: Points, draws: Tensor) -> PointObjects:

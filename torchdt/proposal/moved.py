@@ -78,8 +78,8 @@ def propose_adapted(
 
     The prediction of an object enters through its mean and covariance. Positions come from a proposal fitted
     to `N(position) * likelihood`, rates from the predicted Gaussian given the position, and the weight is
-    `N(position) / proposal(position)`: the likelihood is not part of it. Objects are visited in slot order,
-    each against the newest beliefs of the others.
+    `N(position) / proposal(position)`, N cut off at the edge of the region: the likelihood is not part of it.
+    Objects are visited in slot order, each against the newest beliefs of the others.
 
     Args:
         predicted: objects, batch `(*batch, N)`, strongest first.
@@ -96,6 +96,7 @@ def propose_adapted(
         sequential sweep.
     """
     mean, covariance = moments
+    log_inside = _log_inside(region, mean, covariance, draws.rounds, gradient)
     states, log_weights, responses = [], [], []
     num_objects = predicted.log_odds.shape[-1]
     for slot in range(num_objects):
@@ -114,7 +115,8 @@ def propose_adapted(
         else:
             state, log_prior = drawn.state, prediction.log_prob(drawn.state)
         log_weight = log_prior - drawn.log_proposal - math.log(state.shape[-2])
-        log_weight = drop_outside(state, log_weight, region)
+        # Given that the object is still in the region; that it left is in the predicted existence.
+        log_weight = drop_outside(state, log_weight, region) - take(log_inside, index)[..., None]
         response = respond(field, state)
         belief = object_belief(whitener, response, power, slot_prior._replace(log_weight=log_weight))
         beliefs = store(beliefs, index, belief, power, response_moment(response, belief.log_weight))
@@ -126,6 +128,27 @@ def propose_adapted(
         state=torch.stack(states, batch_dims), log_weight=torch.stack(log_weights, batch_dims)
     )
     return objects, torch.stack(responses, batch_dims), beliefs
+
+
+def _log_inside(region: Region, mean: Tensor, covariance: Tensor, rounds: Tensor, gradient: str) -> Tensor:
+    """Log of the share of Gaussian predictions that lies in the region, `(*batch, N)`, by sampling them.
+
+    Zero where all samples are inside. For `score` its gradient is that of the density at fixed samples; for
+    `reparameterised`, where what crosses the edge of the region has no gradient, it has none either.
+    """
+    d = region.num_coordinates
+    predicted = Gaussian(mean[..., :d], scale_tril(covariance[..., :d, :d]))
+    rounds = rounds[..., : mean.shape[-2], :, :, :]
+    position = predicted.sample(rounds.flatten(-3, -2)).detach()
+    inside = region.contains(position)
+    log_density = predicted.log_prob(position)
+    log_ratio = log_density - log_density.detach()
+    if gradient == "reparameterised":
+        log_ratio = log_ratio.detach()
+    num = position.shape[-2]
+    # As if one sample more were inside where none is.
+    total = torch.where(inside, log_ratio, -torch.inf).exp().sum(-1).clamp_min(1.0)
+    return torch.where(inside.all(-1), 0.0, total.log() - math.log(num))
 
 
 @torch.no_grad()
