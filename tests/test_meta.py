@@ -16,7 +16,12 @@ from torchdt.field.mismatch import MismatchedField
 from torchdt.field.plane_wave import LineArrayField
 from torchdt.field.stacked import StackedDiffuseField
 from torchdt.model.birth import birth_log_odds, log_no_birth
-from torchdt.model.gamma_chain import predict_chain, uniform_prior, uniform_prior_around
+from torchdt.model.gamma_chain import (
+    predict_chain,
+    predicted_uniform_prior,
+    uniform_prior,
+    uniform_prior_around,
+)
 from torchdt.model.kinematics import drop_outside, predict_log_odds, predict_moments, predict_state
 from torchdt.model.measurement import from_snapshots
 from torchdt.model.parameters import default_parameters
@@ -80,7 +85,11 @@ def test_priors(dtype):
             (5, 6, 2, 4, 3): measurement.factor,
             (5, 6, 2): measurement.tempered(0.5).num_snapshots,
             (5, 2): tuple(priors),
-            (5, 2, 9): uniform_prior(maximum, 9) + uniform_prior_around(maximum, maximum, 9),
+            (5, 2, 9): (
+                *uniform_prior(maximum, 9),
+                *uniform_prior_around(maximum, maximum, 9),
+                *predicted_uniform_prior(maximum, 9, 1e2),
+            ),
         },
         dtype,
     )

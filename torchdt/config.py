@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torchdt.errors import require
+from torchdt.model.gamma_chain import LEAST_SHAPE
 from torchdt.particles.transition import GRADIENTS
 
 SCHEDULES = ("sequential", "flooding")
@@ -65,8 +66,8 @@ class TrackerConfig(ObjectConfig):
     Attributes:
         power_points: number G of support points of each tone's power.
         noise_points: number E of support points of each tone's noise variance.
-        power_shape: c_gamma, shape of the Gamma transition of the powers.
-        noise_shape: c_eta, shape of the Gamma transition of the noise variances.
+        power_shape: c_gamma, shape of the Gamma transition of the powers, at least 1.
+        noise_shape: c_eta, shape of the Gamma transition of the noise variances, at least 1.
         births: number of cells in which new objects are considered per step, at most.
         sweeps: BP passes over all objects per step.
         schedule: `sequential` (strongest first) or `flooding`.
@@ -111,7 +112,8 @@ class TrackerConfig(ObjectConfig):
         for name in (*positive, "evidence_samples"):
             self._require(name, getattr(self, name) >= 1, "a positive integer")
         for name in ("power_shape", "noise_shape"):
-            self._require(name, 0 < getattr(self, name) < math.inf, "a positive number")
+            expected = f"a finite number of at least {LEAST_SHAPE:g}"
+            self._require(name, LEAST_SHAPE <= getattr(self, name) < math.inf, expected)
         for name in ("power_max", "noise_max", "effective_count"):
             limit = getattr(self, name)
             self._require(name, limit is None or 0 < limit < math.inf, "a positive number or null")

@@ -54,7 +54,7 @@ def log_likelihood(
         end = min(start + (block or num_steps), num_steps)
         if truncate is not None:
             end = min(end, (start // truncate + 1) * truncate)
-            state = _cut(state) if start % truncate == 0 else state
+            state = _cut(state) if start and start % truncate == 0 else state
         segment = _Segment(tracker, measurement, priors, streams, range(start, end))
         if keep:
             state, evidence = segment(state)

@@ -19,9 +19,9 @@ from torchdt.field.base import Field
 from torchdt.field.stacked import select_field
 from torchdt.history import TrackHistory
 from torchdt.model.birth import birth_log_odds, log_no_birth
-from torchdt.model.gamma_chain import predict_chain, uniform_prior
+from torchdt.model.gamma_chain import predict_chain, predicted_uniform_prior, uniform_prior
 from torchdt.model.measurement import Measurement
-from torchdt.model.parameters import Parameters, default_parameters, widen
+from torchdt.model.parameters import Parameters, checked, default_parameters, widen
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
 from torchdt.model.wishart import log_normaliser
@@ -80,7 +80,7 @@ class DirectTracker(Tracker[TrackerState]):
         parameters: Parameters | None = None,
     ):
         self.field, self.region, self.step_s, self.config = field, region.within(field), step_s, config
-        self.parameters = default_parameters(config, region) if parameters is None else parameters
+        self.parameters = checked(default_parameters(config, region) if parameters is None else parameters)
         self._idle = idle_particles(region, config.particles)
 
     @cached_property
@@ -97,9 +97,9 @@ class DirectTracker(Tracker[TrackerState]):
         return other
 
     def with_parameters(self, parameters: Parameters) -> Self:
-        """The same tracker with other numbers of the model."""
+        """The same tracker with other numbers of the model, see `checked`."""
         other = copy.copy(self)
-        other.parameters = parameters
+        other.parameters = checked(parameters)
         return other
 
     def prepare(self, recording: Recording) -> Prepared:
@@ -107,7 +107,7 @@ class DirectTracker(Tracker[TrackerState]):
         return prepare(recording, self.field, self.region, self.config)
 
     def init(self, priors: Priors) -> TrackerState:
-        """State before the first step: no objects, noise uniform up to `priors.noise_max`."""
+        """State before the first step, k = 1: no objects, noise uniform up to `priors.noise_max` at k = 0."""
         cfg = self.config
         batch = priors.noise_max.shape[:-1]
         slots, num_tones = (*batch, cfg.slots), self.field.num_tones
@@ -120,7 +120,8 @@ class DirectTracker(Tracker[TrackerState]):
             log_odds=self._idle.new_full(slots, -torch.inf),
             label=torch.zeros(slots, dtype=torch.int64, device=self._idle.device),
         )
-        noise = Noise(*uniform_prior(priors.noise_max, cfg.noise_points))
+        shape = widen(self.parameters.noise_shape, 1)
+        noise = Noise(*predicted_uniform_prior(priors.noise_max, cfg.noise_points, shape))
         return TrackerState(objects, noise, torch.ones(batch, dtype=torch.int64, device=self._idle.device))
 
     def step(

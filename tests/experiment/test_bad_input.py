@@ -54,8 +54,11 @@ def test_what_the_schema_refuses(launch, override, words):
         ),
         *((f"tracker.{name}", "-3", "a positive integer") for name in ("rounds", "round_size")),
         *((f"tracker.{name}", "-3", "a positive integer") for name in ("power_points", "noise_points")),
-        *((f"tracker.{name}", "-1.0", "a positive number") for name in ("power_shape", "noise_shape")),
-        ("tracker.power_shape", "inf", "a positive number"),
+        *(
+            (f"tracker.{name}", "0.9", "a finite number of at least 1")
+            for name in ("power_shape", "noise_shape")
+        ),
+        ("tracker.power_shape", "inf", "a finite number of at least 1"),
         ("tracker.birth_mean", "0.0", "a positive number"),
         *((f"tracker.{name}", "0.0", "a positive number or null") for name in ("power_max", "noise_max")),
         *(

@@ -2,10 +2,16 @@ import math
 
 import pytest
 import torch
-from scipy.special import digamma, polygamma
+from scipy.special import exp1, gammaincc, polygamma
 from torch.distributions import Gamma
 
-from torchdt.model.gamma_chain import predict_chain, uniform_prior, uniform_prior_around
+from torchdt.model.gamma_chain import (
+    LEAST_SHAPE,
+    predict_chain,
+    predicted_uniform_prior,
+    uniform_prior,
+    uniform_prior_around,
+)
 from torchdt.state import weighted_mean
 
 
@@ -14,18 +20,75 @@ def log_moments(values, log_weight):
     return mean, weighted_mean((values.log() - mean[..., None]).square(), log_weight)
 
 
-@pytest.mark.parametrize("shape", [5.0, 1e2, 1e4])
+@pytest.mark.parametrize("shape", [LEAST_SHAPE, 5.0, 1e2, 1e4])
 @pytest.mark.parametrize("points", [2, 16, 64])
-def test_moments_of_the_logarithm_are_exact(shape, points):
+def test_mean_and_variance_of_the_logarithm_are_exact(shape, points):
+    """A transition keeps the mean, and adds that of `log g` to the variance of the logarithm."""
     rng = torch.Generator().manual_seed(points)
     values = torch.rand(3, points, generator=rng).double() + 0.2
     log_weight = torch.randn(3, points, generator=rng).double().log_softmax(-1)
-    mean, variance = log_moments(values, log_weight)
+    variance = log_moments(values, log_weight)[1]
     predicted, predicted_weight = predict_chain(values, log_weight, shape)
-    new_mean, new_variance = log_moments(predicted, predicted_weight)
+    new_variance = log_moments(predicted, predicted_weight)[1]
     torch.testing.assert_close(predicted_weight.exp().sum(-1), torch.ones(3).double())
-    torch.testing.assert_close(new_mean, mean + digamma(shape) - math.log(shape), rtol=1e-9, atol=1e-9)
+    mean, new_mean = weighted_mean(values, log_weight), weighted_mean(predicted, predicted_weight)
+    torch.testing.assert_close(new_mean, mean, rtol=1e-12, atol=0)
     torch.testing.assert_close(new_variance, variance + float(polygamma(1, shape)), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("points", [16, 64])
+def test_the_mean_is_kept_for_a_long_time(points, dtype):
+    """A hundred steps without data at the smallest shape: the belief widens, and remains one."""
+    values = torch.ones(points, dtype=dtype)
+    log_weight = torch.full((points,), -math.log(points), dtype=dtype)
+    for _ in range(100):
+        values, log_weight = predict_chain(values, log_weight, LEAST_SHAPE)
+        assert weighted_mean(values, log_weight).item() == pytest.approx(1.0, rel=1e-2)
+        assert (values > 0).all()
+
+
+@pytest.mark.parametrize(
+    "predict", [predict_chain, lambda v, w, c: predicted_uniform_prior(v.amax(-1), 9, c)]
+)
+@pytest.mark.parametrize("shape", [LEAST_SHAPE, 3.0, 100.0])
+def test_gradients_against_finite_differences(predict, shape):
+    values = torch.tensor([[0.5, 0.8, 1.3], [0.2, 2.0, 0.9]], dtype=torch.float64)
+    log_weight = torch.tensor([[0.2, 0.5, 0.3], [0.1, 0.3, 0.6]], dtype=torch.float64).log()
+    inputs = (values, log_weight, torch.tensor([[shape], [2 * shape]][0], dtype=torch.float64))
+    torch.autograd.gradcheck(predict, tuple(t.requires_grad_() for t in inputs))
+
+
+@pytest.mark.parametrize("points", [16, 64])
+@pytest.mark.parametrize("shape", [LEAST_SHAPE, 1.5, 20.0, 100.0, 1e4])
+@pytest.mark.parametrize("best", [1e-4, 0.3, 1.5])
+def test_uniform_prior_after_one_transition(shape, points, best):
+    """The density is `c / (c - 1) Q(c - 1, c v / maximum) / maximum`, with the regularised upper incomplete
+    gamma function Q, for c = 1 the exponential integral. Its mean is kept, and likelihoods of six energies,
+    from far below the maximum to near it, come out right."""
+    maximum = torch.tensor([2.0], dtype=torch.float64)
+    value, log_weight = predicted_uniform_prior(maximum, points, shape)
+    assert log_weight.exp().sum().item() == pytest.approx(1.0)
+    assert weighted_mean(value, log_weight).item() == pytest.approx(1.0, rel=1e-3)
+    fine = torch.logspace(-9, 3, 100_001, dtype=torch.float64)
+    half = fine.numpy() / 2
+    above = gammaincc(shape - 1, shape * half) * shape / (shape - 1) if shape > 1 else exp1(half)
+
+    def likelihood(v):
+        return (best / v) ** 6 * torch.exp(6 * (1 - best / v))
+
+    exact = torch.trapezoid(likelihood(fine) * torch.from_numpy(above) / 2, fine).log()
+    found = weighted_mean(likelihood(value), log_weight).log()
+    assert (found - exact).abs().max() < (0.02 if points == 64 else 0.25)
+
+
+def test_uniform_prior_after_a_sharp_transition_is_still_uniform():
+    """In single precision too, where `log g` is smaller than the rounding of its parts."""
+    for dtype in (torch.float32, torch.float64):
+        value, log_weight = predicted_uniform_prior(torch.tensor([2.0], dtype=dtype), 64, 1e12)
+        assert weighted_mean(value, log_weight).item() == pytest.approx(1.0, rel=1e-5)
+        assert log_weight[value < 1].exp().sum().item() == pytest.approx(0.5, abs=0.15)
+        assert log_weight[value > 2.01].exp().sum().item() < 1e-6
 
 
 @pytest.mark.parametrize("shape", [1e2, 1e4])
@@ -62,9 +125,9 @@ def test_against_monte_carlo():
 def test_zero_weight_points_do_not_matter():
     values = torch.tensor([0.5, 1.0, 1e-30], dtype=torch.float64)
     log_weight = torch.tensor([0.5, 0.5, 0.0], dtype=torch.float64).log()
-    predicted, _ = predict_chain(values, log_weight, 100.0)
-    two, _ = predict_chain(values[:2], log_weight[:2], 100.0)
-    assert predicted[1].item() == pytest.approx(two.log().mean().exp().item())
+    three, two = (predict_chain(values[:n], log_weight[:n], 100.0) for n in (3, 2))
+    assert weighted_mean(*three).item() == pytest.approx(0.75)
+    torch.testing.assert_close(log_moments(*three)[1], log_moments(*two)[1])
 
 
 @pytest.mark.parametrize("function", [torch.ones_like, torch.square, lambda v: torch.exp(-3 * v), torch.cos])

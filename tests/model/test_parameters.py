@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from oracles.line_array import make_region
+from oracles.line_array import make_region, make_tracker
 
 from torchdt.config import TrackerConfig
 from torchdt.errors import InputError
@@ -117,3 +117,11 @@ def test_a_count_left_to_the_data_stays_so_in_all_settings_or_in_none():
     assert stack_parameters([other, other], 2).select(slice(0, 1)).effective_count is None
     with pytest.raises(InputError, match="'effective_count': found 1 of 2 settings with a value, expected"):
         stack_parameters([one, other], 2)
+
+
+@pytest.mark.parametrize("name", ["power_shape", "noise_shape"])
+def test_a_shape_that_no_belief_can_follow_is_named(name):
+    tracker = make_tracker()
+    parameters = tracker.parameters._replace(**{name: torch.tensor([2.0, 0.5])})
+    with pytest.raises(InputError, match=f"key '{name}': found 0.5, expected a number of at least 1"):
+        tracker.with_parameters(parameters)

@@ -1,9 +1,8 @@
 """Gamma Markov chains for transmit powers and noise variances.
 
 The transition `f(v' | v) = G(v'; v / c, c)` (scale v / c, shape c) keeps the mean and adds a relative
-standard deviation of `1 / sqrt(c)`. In logarithms it is a random walk, `log v' = log v + log g` with
-`g ~ G(1 / c, c)`, so the mean and variance of `log v` propagate exactly. A belief is a weighted set of
-support points; prediction places new ones at the Gauss-Hermite nodes of the propagated moments.
+standard deviation of `1 / sqrt(c)` (Liang and Meyer, Sec. IV). In logarithms it is a random walk,
+`log v' = log v + log g` with `g ~ G(1 / c, c)`. A belief is a weighted set of support points.
 """
 
 import math
@@ -16,26 +15,40 @@ from torch import Tensor
 
 from torchdt.state import weighted_mean
 
+LEAST_SHAPE = 1.0
+"""Smallest shape c of a chain: a relative standard deviation of one per step. Below, the density of the next
+value has a pole at zero, and few support points cannot stand for it."""
+
+WIDEST = 4.0
+"""Largest standard deviation of the logarithm of a predicted belief: a factor of 50. Wider ones say
+nothing more, and their support points leave the range of single precision."""
+
 
 def predict_chain(values: Tensor, log_weight: Tensor, shape: Tensor | float) -> tuple[Tensor, Tensor]:
     """One Gamma transition of a belief given by support points.
 
+    The predicted belief stands on the Gauss-Hermite nodes of a log-normal density. Its mean is that of the
+    belief, and its logarithm has the variance of `log v` plus `polygamma(1, c)`, that of `log g`: both exact,
+    the variance up to `WIDEST` squared.
+
     Args:
         values: `(*batch, G)` positive support points.
         log_weight: `(*batch, G)` normalised log-weights.
-        shape: c, positive.
+        shape: c, at least `LEAST_SHAPE`.
 
     Returns:
         Support points and log-weights of the predicted belief, `(*batch, G)` each.
     """
     c = torch.as_tensor(shape, dtype=values.dtype, device=values.device)
     log_values = values.log()
-    mean = weighted_mean(log_values, log_weight)
-    variance = weighted_mean((log_values - mean[..., None]).square(), log_weight)
-    mean = mean + torch.special.digamma(c) - c.log()
-    variance = variance + torch.special.polygamma(1, c)
+    centre = weighted_mean(log_values, log_weight)
+    variance = weighted_mean((log_values - centre[..., None]).square(), log_weight)
+    spread = (variance + torch.special.polygamma(1, c)).sqrt().clamp_max(WIDEST)
     node, node_log_weight = (values.new_tensor(a) for a in _gauss_hermite(values.shape[-1]))
-    predicted = torch.exp(mean[..., None] + variance.sqrt()[..., None] * node)
+    along = spread[..., None] * node
+    # The sum over the nodes, not its limit exp(spread^2 / 2): the mean is then exact for any number of them.
+    scale = weighted_mean(values, log_weight).log() - torch.logsumexp(along + node_log_weight, -1)
+    predicted = torch.exp(scale[..., None] + along)
     return predicted, node_log_weight.expand_as(predicted)
 
 
@@ -54,6 +67,40 @@ def uniform_prior(maximum: Tensor, num_points: int, decades: float = 7.0) -> tup
     log_value = -width * (torch.arange(num_points, dtype=maximum.dtype, device=maximum.device) + 0.5).flip(0)
     points = maximum[..., None] * log_value.exp()
     return points, torch.log_softmax(log_value, -1).expand_as(points)
+
+
+def predicted_uniform_prior(
+    maximum: Tensor, num_points: int, shape: Tensor | float, decades: float = 7.0
+) -> tuple[Tensor, Tensor]:
+    """Support points of the uniform density on [0, maximum] after one Gamma transition.
+
+    What becomes of a uniform density is a mixture of uniform ones, on [0, g maximum] with `g ~ G(1 / c, c)`;
+    the probability of a bin under each is known exactly. In contrast to `predict_chain`, values far below the
+    maximum keep their probability.
+
+    Args:
+        maximum: `(*batch,)` positive, before the transition.
+        num_points: E.
+        shape: c, at least `LEAST_SHAPE`.
+        decades: points reach down by so many; the density below is left out.
+
+    Returns:
+        Support points, each the mean of a bin, and normalised log-weights, `(*batch, E)`. Bins are evenly
+        spaced in the logarithm.
+    """
+    c = torch.as_tensor(shape, dtype=maximum.dtype, device=maximum.device).expand_as(maximum)[..., None]
+    along = torch.linspace(-8.0, 6.0, 64, dtype=maximum.dtype, device=maximum.device)
+    centre, spread = torch.digamma(c) - c.log(), torch.special.polygamma(1, c).sqrt()
+    log_gain = centre + spread * along
+    # In units of the maximum. Less one, so that large shapes do not lose the difference to rounding.
+    log_gain_weight = torch.log_softmax(c * (log_gain - log_gain.expm1()), -1)
+    gain, gain_weight = log_gain.exp()[..., None], log_gain_weight.exp()[..., None]
+    width = decades * math.log(10.0) / num_points
+    bins = torch.arange(-num_points, 1, dtype=maximum.dtype, device=maximum.device)
+    edge = torch.minimum((centre + 3 * spread + width * bins).exp()[..., None, :], gain)
+    weight = (gain_weight * edge.diff(dim=-1) / gain).sum(-2)
+    moment = (gain_weight * edge.square().diff(dim=-1) / gain).sum(-2) / 2
+    return maximum[..., None] * moment / weight, torch.log(weight / weight.sum(-1, keepdim=True))
 
 
 def uniform_prior_around(

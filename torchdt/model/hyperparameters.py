@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.distributions import Normal, biject_to, constraints
 
 from torchdt.errors import InputError, require
+from torchdt.model.gamma_chain import LEAST_SHAPE
 
 
 class Support(NamedTuple):
@@ -31,14 +32,17 @@ class Support(NamedTuple):
 
 REAL = Support(constraints.real, -math.inf, math.inf, "finite")
 POSITIVE = Support(constraints.positive, 0.0, math.inf, "positive and finite")
+SHAPE = Support(
+    constraints.greater_than(LEAST_SHAPE), LEAST_SHAPE, math.inf, f"above {LEAST_SHAPE:g} and finite"
+)
 UNIT = Support(constraints.unit_interval, 0.0, 1.0, "strictly between 0 and 1")
 UP_TO_ONE = UNIT._replace(
     words=f"{UNIT.words}: start below 1, or freeze it at 1 (trainable: false)", frozen_at_high=True
 )
 
 SUPPORTS = {
-    "power_shape": POSITIVE,
-    "noise_shape": POSITIVE,
+    "power_shape": SHAPE,
+    "noise_shape": SHAPE,
     "birth_mean": POSITIVE,
     "driving_variance": POSITIVE,
     "survival": UNIT,
@@ -61,8 +65,8 @@ class PriorSettings:
 
     Attributes:
         median: of the quantity itself, in its unit; a number, or a list for a vector.
-        spread: standard deviation of the unconstrained value: the logarithm of a positive quantity, the
-            log-odds of one between 0 and 1, a real quantity itself.
+        spread: standard deviation of the unconstrained value: the logarithm of a positive quantity, or of
+            what a shape is above 1; the log-odds of one between 0 and 1; a real quantity itself.
     """
 
     median: Any
@@ -87,9 +91,10 @@ class HyperparameterSettings:
 class Hyperparameters(nn.Module):
     """Constrained quantities, held as unconstrained float64 parameters under their own names.
 
-    The maps are those of `torch.distributions.biject_to`: exponential for positive quantities, logistic for
-    those between 0 and 1. A frozen quantity is the buffer `frozen_<name>` of the value itself: it stays
-    exact, and a state of other settings does not load unnoticed. All is made on the CPU; move it with `to`.
+    The maps are those of `torch.distributions.biject_to`: exponential for positive quantities and for what
+    shapes are above 1, logistic for those between 0 and 1. A frozen quantity is the buffer `frozen_<name>` of
+    the value itself: it stays exact, and a state of other settings does not load unnoticed. All is made on
+    the CPU; move it with `to`.
 
     Args:
         settings: by name, see `SUPPORTS`.

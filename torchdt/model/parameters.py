@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchdt.config import TrackerConfig
 from torchdt.errors import require
+from torchdt.model.gamma_chain import LEAST_SHAPE
 from torchdt.model.region import Region, per_coordinate
 
 
@@ -50,6 +51,18 @@ class Parameters(NamedTuple):
 def widen(value: Tensor, dims: int) -> Tensor:
     """Append dimensions of size one, so that `(*batch,)` broadcasts to `(*batch, ...)`."""
     return value.reshape(*value.shape, *(1 for _ in range(dims)))
+
+
+def checked(parameters: Parameters) -> Parameters:
+    """The same parameters.
+
+    Raises:
+        InputError: where the shape of a Gamma transition is below `LEAST_SHAPE`.
+    """
+    for name in ("power_shape", "noise_shape"):
+        smallest = getattr(parameters, name).min().item()
+        require(smallest >= LEAST_SHAPE, name, f"{smallest:g}", f"a number of at least {LEAST_SHAPE:g}")
+    return parameters
 
 
 def default_parameters(config: TrackerConfig, region: Region) -> Parameters:

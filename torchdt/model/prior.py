@@ -14,7 +14,7 @@ class Priors(NamedTuple):
 
     Attributes:
         power_max: `(*batch, I)` of the transmit power of a new object.
-        noise_max: `(*batch, I)` of the noise variance at the first step.
+        noise_max: `(*batch, I)` of the noise variance before the first step, at k = 0.
     """
 
     power_max: Tensor
