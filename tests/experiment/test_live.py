@@ -33,8 +33,8 @@ def test_all_that_is_written_of_a_step_is_of_the_first_sequence(report, recordin
     )
     live_report(3, torch.tensor([4.0, 5.0]), estimate, slice(0, 2))
     live_report(3, torch.tensor([5.0]), estimate, slice(1, 2))
-    ((step, state, found, score, truth),) = (call.args for call in written.add_step.call_args_list)
-    assert (step, state) == (3, 4.0)
+    ((step, time_s, state, found, score, truth),) = (call.args for call in written.add_step.call_args_list)
+    assert (step, time_s, state) == (3, recording.times()[0, 3], 4.0)
     assert torch.equal(found.existence, first[0])
     assert score.num_estimated == 0
     torch.testing.assert_close(truth, recording.truth[0, 3], rtol=0, atol=0, equal_nan=True)

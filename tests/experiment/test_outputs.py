@@ -70,12 +70,13 @@ def test_metrics(run):
 
 def test_gospa_table(run):
     assert run.columns("gospa.csv") == (
-        ["run", "step", "gospa", "localisation", "missed", "false", "num_truth", "num_estimated"]
+        ["run", "step", "time_s", "gospa", "localisation", "missed", "false", "num_truth", "num_estimated"]
     )
     rows = run.rows("gospa.csv")
     assert [(row["run"], row["step"]) for row in rows] == [
         (str(b), str(k)) for b in range(2) for k in range(5)
     ]
+    assert [float(row["time_s"]) for row in rows] == [0.5, 1.5, 2.5, 3.5, 4.5] * 2
     assert {row["num_truth"] for row in rows} == {"1"}  # the second source is born later
 
 
@@ -93,7 +94,7 @@ def test_tracks_table(run):
     declared = [int(row["num_estimated"]) for row in run.rows("gospa.csv")]
     assert len(rows) == sum(declared) > 0
     for row in rows:
-        assert float(row["time_s"]) == int(row["step"]) * 1.0
+        assert float(row["time_s"]) == int(row["step"]) + 0.5
         assert int(row["label"]) >= 1
         assert 0.5 < float(row["existence"]) <= 1
         assert float(row["std_bearing_deg"]) > 0

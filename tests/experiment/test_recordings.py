@@ -105,8 +105,22 @@ def test_complete_file_gives_no_warning(recording, track):
 def test_step_of_the_file_counts(recording, track):
     outcome = track(dataclasses.replace(recording, step_s=0.25))
     rows = outcome.rows("tracks.csv")
-    assert {float(row["time_s"]) - 0.25 * int(row["step"]) for row in rows} == {0.0}
+    assert {float(row["time_s"]) - 0.25 * int(row["step"]) for row in rows} == {0.125}
     assert any(int(row["step"]) > 0 for row in rows)
+
+
+def test_times_are_those_of_the_files(launch, recording, tmp_path):
+    """One file begins half a minute after the other."""
+    single = first_of(recording)
+    for name, start_s in (("early", 100.0), ("late", 130.0)):
+        write_npz(tmp_path / f"{name}.npz", dataclasses.replace(single, start_s=torch.tensor([start_s])))
+    outcome = launch(f"data.path=[{tmp_path}/early.npz,{tmp_path}/late.npz]", "data=npz")
+    assert outcome.status == 0, outcome.err
+    for table in ("tracks.csv", "gospa.csv"):
+        rows = outcome.rows(table)
+        assert {row["run"] for row in rows} == {"0", "1"}
+        for row in rows:
+            assert float(row["time_s"]) == 100.0 + 30.0 * int(row["run"]) + int(row["step"]) + 0.5
 
 
 def positions(along):

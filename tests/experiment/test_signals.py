@@ -57,6 +57,7 @@ def test_all_formats_give_the_same(read, files, kind):
     assert recording.name == "array"
     assert torch.equal(recording.snapshots, read("wav").snapshots)
     middle = SPAN_S / 2 + STEP_S * np.arange(23)
+    np.testing.assert_allclose(recording.times()[0], middle)
     np.testing.assert_allclose(recording.truth[0, :, 0, 0], BEARING[0] + BEARING[1] * middle)
 
 
@@ -67,6 +68,7 @@ def test_a_part_of_the_file(read, files):
     )
     assert torch.equal(part.snapshots, whole.snapshots[:, 2:4])
     torch.testing.assert_close(part.truth, whole.truth[:, 2:4])
+    torch.testing.assert_close(part.times(), whole.times()[:, 2:4])
 
 
 def test_static_copy(read, files):
@@ -94,9 +96,11 @@ def test_tracked_from_a_file(launch, files):
 
 def test_a_path_of_the_scenario_is_the_truth(read):
     """The first goes from -40 to 0 degrees in a minute, from where the segment starts."""
-    truth = read("wav", "data.truth_path=first", "data.start_s=2").truth
+    recording = read("wav", "data.truth_path=first", "data.start_s=2")
+    truth = recording.truth
     middle = SPAN_S / 2 + STEP_S * np.arange(truth.shape[1])
     np.testing.assert_allclose(truth[0, :, 0, 0], -40 + 40 / 60 * middle)
+    np.testing.assert_allclose(recording.times()[0], 2 + middle)
 
 
 def test_missing_samples(read, files, samples, caplog):

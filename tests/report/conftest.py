@@ -12,7 +12,8 @@ STEP_S = 4.096
 
 @pytest.fixture
 def times():
-    return torch.arange(K, dtype=torch.float64) * STEP_S
+    """The second run begins a minute later."""
+    return torch.tensor([[0.0], [60.0]]) + torch.arange(K, dtype=torch.float64) * STEP_S
 
 
 @pytest.fixture

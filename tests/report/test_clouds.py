@@ -23,7 +23,7 @@ def estimate(history):
 
 @pytest.fixture
 def figure(state, estimate, truth, frame):
-    return cloud_figure(belief_of(state, estimate), estimate, truth[1, 3], frame)
+    return cloud_figure(belief_of(state, estimate), estimate, truth[1, 3], 2.5, frame)
 
 
 def cube(estimate, d):
@@ -44,7 +44,7 @@ def test_overview_shows_all_objects_in_the_whole_region(figure, state):
     blue = tuple(np.round([0x00 / 255, 0x9E / 255, 0x73 / 255], 3))  # the third colour, of label 3
     np.testing.assert_allclose(clouds[blue], state.objects.state[0, :, :2] * torch.tensor([1e-3, 1]))
     assert len(overview.collections) == 3
-    assert overview.get_title() == "potential objects: 3"
+    assert overview.get_title() == "2.5 s, potential objects: 3"
 
 
 def test_weight_and_existence_are_opacity(figure, state, estimate):
@@ -75,14 +75,14 @@ def test_truth_is_drawn_where_there_is_any(figure, state, estimate, truth, frame
 
     assert circles(figure) == [(1.5, 20.0), (3.0, 54.0)]
     belief = belief_of(state, estimate)
-    assert circles(cloud_figure(belief, estimate, truth[1, 2], frame)) == [(3.0, 54.0)]
-    assert circles(cloud_figure(belief, estimate, None, frame)) == []
+    assert circles(cloud_figure(belief, estimate, truth[1, 2], 2.5, frame)) == [(3.0, 54.0)]
+    assert circles(cloud_figure(belief, estimate, None, 2.5, frame)) == []
 
 
 @pytest.mark.parametrize(("d", "rows"), [(1, 1), (2, 1), (3, 2)])
 def test_panels(estimate, d, rows):
     belief, one, frame = cube(estimate, d)
-    figure = cloud_figure(belief, one, torch.full((1, d), 2.0), frame)
+    figure = cloud_figure(belief, one, torch.full((1, d), 2.0), 2.5, frame)
     panels = np.array(figure.axes).reshape(rows, 1 + CLOSE_UPS)
     upward = {1: ["Rate (per s)"], 2: ["x1 (m)"], 3: ["x1 (m)", "x2 (m)"]}[d]
     for row, label, entry in zip(panels, upward, range(1, 3), strict=False):
@@ -99,20 +99,20 @@ def test_of_many_particles_some_are_drawn(estimate):
     many = belief._replace(
         particles=belief.particles.repeat(1, 60, 1), weight=torch.full((1, 1200), 1 / 1200)
     )
-    drawn = cloud_figure(many, one, None, frame).axes[1].collections[0].get_offsets()
+    drawn = cloud_figure(many, one, None, 2.5, frame).axes[1].collections[0].get_offsets()
     np.testing.assert_allclose(drawn, many.particles[0, ::3, :2])
 
 
 def test_a_cloud_may_be_one_point(estimate):
     belief, one, frame = cube(estimate, 2)
     point = belief._replace(particles=belief.particles[:, :1].expand(1, 20, 4))
-    low, high = cloud_figure(point, one, None, frame).axes[1].get_xlim()
+    low, high = cloud_figure(point, one, None, 2.5, frame).axes[1].get_xlim()
     assert low < point.particles[0, 0, 0] < high
     assert high - low > 1e-6  # wide enough to be labelled
 
 
 def test_nothing_there(state, estimate, frame):
     nothing = estimate._replace(existence=torch.zeros(3))
-    figure = cloud_figure(belief_of(state, estimate), nothing, None, frame)
-    assert figure.axes[0].get_title() == "potential objects: 0"
+    figure = cloud_figure(belief_of(state, estimate), nothing, None, 2.5, frame)
+    assert figure.axes[0].get_title() == "2.5 s, potential objects: 0"
     assert [panel.axison for panel in figure.axes] == [True, False, False, False]

@@ -61,16 +61,19 @@ def test_files(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"compare.csv", "compare.json"}
 
 
-def test_gospa_of_all_trackers(tmp_path, score):
+def test_gospa_of_all_trackers(tmp_path, score, times):
     half = score._replace(total=score.total / 2)
-    write_gospa_table(tmp_path / "gospa.csv", {"direct": score, "mp_bp": half})
+    write_gospa_table(tmp_path / "gospa.csv", {"direct": score, "mp_bp": half}, times)
     table = rows_of(tmp_path / "gospa.csv")
-    assert ",".join(table[0]) == "tracker,run,step,gospa,localisation,missed,false,num_truth,num_estimated"
+    assert (
+        ",".join(table[0])
+        == "tracker,run,step,time_s,gospa,localisation,missed,false,num_truth,num_estimated"
+    )
     found = [(row["tracker"], int(row["run"]), int(row["step"])) for row in table]
     assert found == [(name, b, k) for name in ("direct", "mp_bp") for b in range(2) for k in range(6)]
     assert [float(row["gospa"]) for row in table[6:12]] == [1, 1, 101, 101, 101, 101]
     assert [float(row["gospa"]) for row in table[18:]] == [0.5, 0.5, 50.5, 50.5, 50.5, 50.5]
-    assert table[20]["num_estimated"] == "2"
+    assert (table[20]["num_estimated"], table[20]["time_s"]) == ("2", "68.192")
 
 
 def test_events_are_means_over_runs(tmp_path, score):

@@ -22,7 +22,7 @@ def legend_texts(legend):
 
 
 def test_tracks(tmp_path, history, truth, times):
-    figure = tracks_figure(history.select(1), truth[1], times)
+    figure = tracks_figure(history.select(1), truth[1], times[1])
     distance, depth = figure.axes
     assert distance.get_ylabel() == "Range (km)"
     assert depth.get_ylabel() == "Depth (m)"
@@ -31,7 +31,7 @@ def test_tracks(tmp_path, history, truth, times):
     assert not distance.yaxis_inverted()
     assert legend_texts(distance.get_legend()) == ["truth", "track 3", "track 12"]
     drawn = lines(distance)["track 3"]
-    np.testing.assert_allclose(drawn.get_xdata(), times / 60)
+    np.testing.assert_allclose(drawn.get_xdata(), times[1] / 60)
     np.testing.assert_allclose(drawn.get_ydata(), 3.001, rtol=1e-6)
     assert lines(depth)["track 12"].get_ydata().tolist() == [90.0]
     assert drawn.get_color() != lines(distance)["track 12"].get_color()
@@ -43,7 +43,7 @@ def test_tracks(tmp_path, history, truth, times):
 
 def test_tracks_without_truth_or_objects(tmp_path, history, times):
     empty = history.select(0)._replace(declared=torch.zeros_like(history.declared[0]))
-    figure = tracks_figure(empty, None, times)
+    figure = tracks_figure(empty, None, times[0])
     assert all(not panel.lines for panel in figure.axes)
     assert figure.axes[0].get_legend() is None
     save(figure, tmp_path)
@@ -51,14 +51,14 @@ def test_tracks_without_truth_or_objects(tmp_path, history, times):
 
 def test_tracks_of_a_bearing(history, truth, times):
     bearing = history.select(0)._replace(state=history.state[0, ..., :2])
-    (panel,) = tracks_figure(bearing, truth[0, ..., :1], times, (Axis("Bearing (deg)"),)).axes
+    (panel,) = tracks_figure(bearing, truth[0, ..., :1], times[0], (Axis("Bearing (deg)"),)).axes
     assert panel.get_ylabel() == "Bearing (deg)"
 
 
 def test_many_labels_do_not_flood_the_legend(tmp_path, history, times):
     labels = torch.arange(1, 19).reshape(6, 3)
     many = history.select(0)._replace(declared=torch.ones(6, 3, dtype=torch.bool), label=labels)
-    figure = tracks_figure(many, None, times)
+    figure = tracks_figure(many, None, times[0])
     legend = figure.axes[0].get_legend()
     assert len(legend.get_texts()) == MAX_LEGEND_LABELS
     assert legend.get_title().get_text() == f"{18 - MAX_LEGEND_LABELS} more not listed"
@@ -68,7 +68,7 @@ def test_many_labels_do_not_flood_the_legend(tmp_path, history, times):
 
 
 def test_gospa(tmp_path, score, times):
-    figure = gospa_figure(score.select(1), times)
+    figure = gospa_figure(score.select(1), times[1])
     (panel,) = figure.axes
     assert (panel.get_xlabel(), panel.get_ylabel()) == ("Time (min)", "GOSPA (m)")
     expected = ["localisation", "missed", "false", "GOSPA, mean 67.7"]

@@ -16,21 +16,21 @@ def rows(path):
         return list(csv.DictReader(file))
 
 
-def test_gospa_csv(tmp_path, score):
+def test_gospa_csv(tmp_path, score, times):
     path = tmp_path / "gospa.csv"
-    files.write_gospa_csv(path, score)
-    header = "run,step,gospa,localisation,missed,false,num_truth,num_estimated"
+    files.write_gospa_csv(path, score, times)
+    header = "run,step,time_s,gospa,localisation,missed,false,num_truth,num_estimated"
     assert path.read_text().splitlines()[0] == header
     table = rows(path)
     assert [(int(r["run"]), int(r["step"])) for r in table] == [(b, k) for b in range(2) for k in range(6)]
-    assert list(table[0].values()) == ["0", "0", "1", "1", "0", "0", "1", "1"]
-    assert list(table[5].values()) == ["0", "5", "101", "1", "100", "0", "2", "1"]
-    assert list(table[8].values()) == ["1", "2", "101", "1", "0", "100", "1", "2"]
+    assert list(table[0].values()) == ["0", "0", "0", "1", "1", "0", "0", "1", "1"]
+    assert list(table[5].values()) == ["0", "5", "20.48", "101", "1", "100", "0", "2", "1"]
+    assert list(table[8].values()) == ["1", "2", "68.192", "101", "1", "0", "100", "1", "2"]
 
 
-def test_tracks_csv(tmp_path, history):
+def test_tracks_csv(tmp_path, history, times):
     path = tmp_path / "tracks.csv"
-    files.write_tracks_csv(path, history, step_s=4.096)
+    files.write_tracks_csv(path, history, times)
     header = "run,step,time_s,label,existence,range_m,depth_m,range_rate_mps,depth_rate_mps,power_1,power_2"
     header += ",std_range_m,std_depth_m,std_range_rate_mps,std_depth_rate_mps"
     assert path.read_text().splitlines()[0] == header
@@ -38,7 +38,7 @@ def test_tracks_csv(tmp_path, history):
     assert len(table) == history.declared.sum()
     ghost = next(r for r in table if r["label"] == "12")
     assert (ghost["run"], ghost["step"], ghost["range_m"], ghost["power_2"]) == ("1", "2", "700", "1000")
-    assert float(ghost["time_s"]) == 2 * 4.096
+    assert ghost["time_s"] == "68.192"
     assert list(ghost.values())[-4:] == ["2", "0.5", "0.25", "0.125"]
     # Enough digits to give single precision back exactly.
     assert torch.tensor(float(table[0]["depth_rate_mps"])) == history.state[0, 0, 0, 3]
@@ -46,19 +46,30 @@ def test_tracks_csv(tmp_path, history):
     assert torch.tensor(float(table[0]["existence"])) == history.existence[0, 0, 0]
 
 
-def test_tracks_csv_of_another_field(tmp_path, history):
+def test_times_of_a_clock_that_began_long_ago_keep_their_fractions(tmp_path, history, score, times):
+    times = 1771463910 + times
+    files.write_tracks_csv(tmp_path / "tracks.csv", history, times)
+    files.write_gospa_csv(tmp_path / "gospa.csv", score, times)
+    for name in ("tracks.csv", "gospa.csv"):
+        for row in rows(tmp_path / name):
+            assert float(row["time_s"]) == pytest.approx(
+                times[int(row["run"]), int(row["step"])].item(), rel=0, abs=1e-5
+            )
+
+
+def test_tracks_csv_of_another_field(tmp_path, history, times):
     bearing = history._replace(state=history.state[..., :2], state_std=history.state_std[..., :2])
     path = tmp_path / "tracks.csv"
-    files.write_tracks_csv(path, bearing, 1.0, ("bearing_deg", "bearing_rate_degps"))
+    files.write_tracks_csv(path, bearing, times, ("bearing_deg", "bearing_rate_degps"))
     assert list(rows(path)[0])[5:7] == ["bearing_deg", "bearing_rate_degps"]
     assert list(rows(path)[0])[-2:] == ["std_bearing_deg", "std_bearing_rate_degps"]
     with pytest.raises(ValueError, match="coordinates: found 2, expected 4"):
-        files.write_tracks_csv(path, history, 1.0, ("bearing_deg", "bearing_rate_degps"))
+        files.write_tracks_csv(path, history, times, ("bearing_deg", "bearing_rate_degps"))
 
 
-def test_tracks_csv_without_objects(tmp_path, history):
+def test_tracks_csv_without_objects(tmp_path, history, times):
     path = tmp_path / "tracks.csv"
-    files.write_tracks_csv(path, history._replace(declared=torch.zeros_like(history.declared)), 1.0)
+    files.write_tracks_csv(path, history._replace(declared=torch.zeros_like(history.declared)), times)
     assert rows(path) == []
     assert path.read_text().startswith("run,step,")
 

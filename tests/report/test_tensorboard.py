@@ -17,7 +17,8 @@ def write(report, history, score=None, state=None, truth=None):
     history, score = history.select(1), score and score.select(1)
     for step in range(6):
         truths = None if truth is None else truth[1, step]
-        report.add_step(step, state, history.select(step), score and score.select(step), truths)
+        own, found = score and score.select(step), history.select(step)
+        report.add_step(step, 4.0 * step, state, found, own, truths)
 
 
 @pytest.fixture
@@ -157,7 +158,8 @@ def test_goes_on_at_a_step(tmp_path, history, score, state, frame):
     killed.flush()
     with TensorBoardReport(tmp_path, first_step=3, interval=2, frame=frame) as report:
         for step in (3, 4):
-            report.add_step(step, state, history.select(1).select(step), score.select(1).select(step))
+            estimate, own = (parts.select(1).select(step) for parts in (history, score))
+            report.add_step(step, 4.0 * step, state, estimate, own)
     events = read(tmp_path)
     assert [step for step, _ in scalars(events, "gospa/total")] == [0, 1, 2, 3, 4]
     assert [event.step for event in events.Histograms("belief/existence")] == [0, 2, 4]

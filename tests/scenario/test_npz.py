@@ -62,8 +62,27 @@ def test_reads_one_recording(path):
     assert recording.truth.shape == (1, K, L, 2)
     sizes = recording.batch_size, recording.num_steps, recording.num_tones, recording.num_sensors
     assert sizes == (1, K, I, M)
-    np.testing.assert_array_equal(recording.times(), 4.096 * np.arange(K))
+    assert recording.start_s.tolist() == [0.0]
+    np.testing.assert_allclose(recording.times(), [4.096 * (np.arange(K) + 0.5)])
     np.testing.assert_array_equal(recording.snapshots[0], arrays["snapshots"])
+
+
+@pytest.mark.parametrize(("start_s", "found"), [(-7.5, [-7.5, -7.5]), ([1.0, 2.0], [1.0, 2.0])])
+def test_time_of_the_first_sample(path, tmp_path, start_s, found):
+    """One number for all recordings, as the file has it, or one for each; written as it was read."""
+    recording = read(
+        path, snapshot_file(snapshots=complex_normal(B, K, I, J, M), truth=None, start_s=start_s)
+    )
+    np.testing.assert_allclose(recording.times(), np.array(found)[:, None] + 4.096 * (np.arange(K) + 0.5))
+    write_npz(tmp_path / "again.npz", recording)
+    with np.load(tmp_path / "again.npz") as again:
+        assert again["start_s"].tolist() == start_s
+
+
+def test_steps_that_share_samples(path):
+    """The middle of the samples that a step is made of, which overlap those of the next."""
+    recording = read(path, snapshot_file(start_s=100.0, span_s=5.0))
+    np.testing.assert_allclose(recording.times()[0], 102.5 + 4.096 * np.arange(K))
 
 
 def test_reads_a_batch(path):
@@ -187,6 +206,10 @@ BAD_SNAPSHOT_FILES = [
     ({"step_s": np.inf}, "key 'step_s': found inf, expected .*above zero"),
     ({"step_s": [1.0, 2.0]}, r"key 'step_s': found shape \(2,\), expected a scalar"),
     ({"step_s": 1j}, "key 'step_s': found torch.complex128, expected a number"),
+    ({"start_s": np.nan}, "key 'start_s': found a value that is NaN or infinite, expected finite"),
+    ({"start_s": [1.0, 2.0]}, r"key 'start_s': found shape \(2,\), expected \(1,\): s, one number or one"),
+    ({"start_s": 1j}, "key 'start_s': found torch.complex128, expected real"),
+    ({"span_s": -1.0}, "key 'span_s': found -1.0, expected .*from zero up"),
     ({"freqs": np.ones(4)}, r"key 'freqs': found shape \(4,\), expected \(3,\)"),
     ({"freqs": np.array([1.0, 0, 2])}, "key 'freqs': found 0.0, expected .*above zero"),
     ({"freqs": np.array([1.0, np.nan, 2])}, "key 'freqs': found .*NaN or infinite, expected finite"),

@@ -26,6 +26,9 @@ def test_steps_average_and_drop_the_rest(tmp_path):
     assert double.covariance.shape[:3] == (1, 2, 1)
     torch.testing.assert_close(double.covariance[0, 1], single.covariance[0, 2:4].mean(0))
     assert double.step_s == pytest.approx(4.0)
+    for recording, average in ((single, 1), (double, 2)):
+        middle = [arrays["t_unix"][k : k + average].mean() for k in range(0, 5 - average + 1, average)]
+        np.testing.assert_allclose(recording.times()[0], middle, rtol=0, atol=1e-5)
     assert double.num_snapshots == 7
 
 

@@ -15,10 +15,11 @@ def recording(steps=3, truth=1, runs=1, **changes):
 
 
 def test_equal_lengths():
-    first, second = recording(runs=2), recording()
+    first, second = recording(runs=2), recording(start_s=60.0)
     batch, mask = stack_recordings([first, second])
     assert torch.equal(batch.snapshots, torch.cat([first.snapshots, second.snapshots]))
     assert torch.equal(batch.truth, torch.cat([first.truth, second.truth]))
+    assert batch.times()[:, 0].tolist() == [0.5, 0.5, 60.5]
     assert mask.shape == (3, 3)
     assert mask.all()
 
@@ -60,6 +61,7 @@ def test_truth_only_where_all_have_it():
     ("changes", "key"),
     [
         ({"step_s": 2.0}, "step_s"),
+        ({"span_s": 2.0}, "span_s"),
         ({"freqs": torch.tensor([1.0, 2.0])}, "freqs"),
         ({"snapshots": torch.ones(1, 3, 2, 2, 4, dtype=torch.complex64)}, "snapshots"),
         ({"snapshots": torch.ones(1, 3, 2, 3, 5, dtype=torch.complex64)}, "snapshots"),

@@ -223,7 +223,9 @@ def beside(tracker: str, quality: Quality, first: Quality | None) -> Comparison:
 def write_outcomes(directory: Path, stage: Stage, outcomes: Mapping[str, Outcome]) -> None:
     """Replace the table and the figures of one scenario in its directory, made if absent."""
     write_figures(directory / "figures", draw_comparison(stage, outcomes))
-    write_gospa_table(directory / "gospa.csv", {name: o.gospa for name, o in outcomes.items()})
+    write_gospa_table(
+        directory / "gospa.csv", {name: o.gospa for name, o in outcomes.items()}, stage.recording.times()
+    )
 
 
 def draw_comparison(stage: Stage, outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
@@ -232,7 +234,8 @@ def draw_comparison(stage: Stage, outcomes: Mapping[str, Outcome]) -> dict[str, 
     assert recording.truth is not None
     truth, axes = recording.truth[0], [axis_of(c) for c in coordinates]
     scores = {name: outcome.gospa for name, outcome in outcomes.items()}
-    figures = {"gospa": gospa_comparison_figure(scores, stage.hidden, recording.step_s, coordinates[0].unit)}
+    times = recording.times()[0]
+    figures = {"gospa": gospa_comparison_figure(scores, stage.hidden, times, coordinates[0].unit)}
     if stage.surface is not None:
         estimates = {name: outcome.estimates for name, outcome in outcomes.items()}
         figures["estimates"] = surface_figure(*stage.surface, estimates, truth[stage.step], axes)
@@ -242,5 +245,5 @@ def draw_comparison(stage: Stage, outcomes: Mapping[str, Outcome]) -> dict[str, 
         tracks = dict(zip(names, truth.unbind(1), strict=True))
         depths = stage.settings.field.get("element_depths")
         array = None if depths is None else torch.tensor(depths, dtype=torch.float64)
-        figures["trajectory"] = trajectory_figure(tracks, recording.step_s, array, axes)
+        figures["trajectory"] = trajectory_figure(tracks, times, array, axes)
     return figures

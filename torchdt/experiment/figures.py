@@ -39,7 +39,7 @@ def draw_figures(
     """
     coordinates = tracker.region.coordinates
     axes = [axis_of(c) for c in coordinates]
-    first, times = history.select(0), recording.times()
+    first, times = history.select(0), recording.times()[0]
     truth = None if recording.truth is None else recording.truth[0]
     figures = {"tracks": tracks_figure(first, truth, times, axes)}
     if score is not None:

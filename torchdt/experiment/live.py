@@ -49,6 +49,7 @@ class LiveReport:
         score = score_step(step, one, first, self.recording, self.settings)
         self._opened(step).add_step(
             step,
+            self.recording.times()[0, step].item(),
             _first(state),
             one.select(0),
             None if score is None else score.select(0),

@@ -10,7 +10,7 @@ from torchdt.errors import InputError, require
 from torchdt.experiment.data_settings import SignalSettings
 from torchdt.experiment.fields import build_field
 from torchdt.experiment.settings import TrackSettings
-from torchdt.scenario.recording import Recording, validate
+from torchdt.scenario.recording import Recording, step_times, validate
 from torchdt.scenario.settings import ScenarioSettings
 from torchdt.scenario.simulate import position_along
 from torchdt.signals.readers import open_npy, open_wav
@@ -48,27 +48,31 @@ def read_signals(settings: TrackSettings, data: SignalSettings) -> Recording:
         snapshots_per_step=data.snapshots_per_step,
         search_hz=data.search_hz,
     )
-    step_s = data.snapshots_per_step * data.hop / sample_rate
-    # Positions are those in the middle of a step.
-    first = samples_of_step(*sizes) / 2 / sample_rate
-    times = first + step_s * torch.arange(len(snapshots), dtype=torch.float64)
-    truth = _truth(settings.scenario, data, times, start / sample_rate)
+    step_s, start_s = data.snapshots_per_step * data.hop / sample_rate, start / sample_rate
+    span_s = samples_of_step(*sizes) / sample_rate
+    times = step_times(len(snapshots), step_s, start_s, span_s)
+    truth = _truth(settings.scenario, data, times, start_s)
     if data.static_copy.step is not None:
         copied = data.static_copy.step, data.static_copy.gain_db
         snapshots, truth = add_static_copy(snapshots, truth, *copied)
-    return validate(snapshots=snapshots, truth=truth, step_s=step_s, name=path.stem)
+    return validate(
+        snapshots=snapshots, truth=truth, step_s=step_s, start_s=start_s, span_s=span_s, name=path.stem
+    )
 
 
 def _truth(scenario: ScenarioSettings, data: SignalSettings, times: Tensor, start_s: float) -> Tensor | None:
-    """True positions `(K, L, d)` at times `(K,)` s from the start of the segment, if they are known."""
+    """True positions `(K, L, d)` at times `(K,)` s of the file, if they are known.
+
+    A path of the scenario begins where the segment does, at `start_s`.
+    """
     if data.truth is not None:
         names = [coordinate.name for coordinate in scenario.coordinates]
-        return read_truth(Path(data.truth), names, start_s + times, data.truth_depth_m)
+        return read_truth(Path(data.truth), names, times, data.truth_depth_m)
     if data.truth_path is None:
         return None
     known = sorted(scenario.paths)
     require(data.truth_path in known, "data.truth_path", data.truth_path, f"a path of the scenario: {known}")
-    return position_along(scenario.paths[data.truth_path], times)[:, None]
+    return position_along(scenario.paths[data.truth_path], times - start_s)[:, None]
 
 
 def _sample_rate(signal: Signal, data: SignalSettings) -> float:

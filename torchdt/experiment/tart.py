@@ -116,8 +116,8 @@ def write_results(
     position = history.position.double()
     gospa = sky_gospa(position, history.declared & _is_up(position), recording.truth)
     write_json(directory / "metrics.json", metrics_summary("direct", history, gospa, settings.seed, seconds))
-    write_gospa_csv(directory / "gospa.csv", gospa)
-    write_tracks_csv(directory / "tracks.csv", history, recording.step_s, columns)
+    write_gospa_csv(directory / "gospa.csv", gospa, recording.times())
+    write_tracks_csv(directory / "tracks.csv", history, recording.times(), columns)
     if settings.logging.figures:
         write_figures(directory / "figures", {"sky": sky_figure(history.select(0), recording.truth[0])})
 

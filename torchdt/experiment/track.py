@@ -119,9 +119,9 @@ def write_results(
     history = TrackHistory(*(t.cpu() for t in history))
     metrics = metrics_summary(name, history, score, settings.seed, seconds)
     write_json(directory / "metrics.json", metrics)
-    write_tracks_csv(directory / "tracks.csv", history, recording.step_s, tracker.region.column_names)
+    write_tracks_csv(directory / "tracks.csv", history, recording.times(), tracker.region.column_names)
     if score is not None:
-        write_gospa_csv(directory / "gospa.csv", score)
+        write_gospa_csv(directory / "gospa.csv", score, recording.times())
     if variants := settings.variant_configs():
         write_variants_csv(directory / "variants.csv", variants, history, score)
     figures = {}

@@ -77,7 +77,9 @@ class Cloud(NamedTuple):
         return f"{name}, existence {self.existence:.3g}"
 
 
-def cloud_figure(belief: Belief, estimate: TrackHistory, truth: Tensor | None, frame: Frame) -> Figure:
+def cloud_figure(
+    belief: Belief, estimate: TrackHistory, truth: Tensor | None, time_s: float, frame: Frame
+) -> Figure:
     """Draw all potential objects in the whole region, and the most probable ones from close up.
 
     One row of panels shows the first two coordinates; a third one, against the first, adds a row. A single
@@ -87,6 +89,7 @@ def cloud_figure(belief: Belief, estimate: TrackHistory, truth: Tensor | None, f
         belief: about N potential objects.
         estimate: of the same step and sequence.
         truth: `(L, d)` true positions, NaN = absent; None if unknown.
+        time_s: of the step, s.
         frame: axes and limits of the d coordinates.
     """
     clouds = clouds_of(belief, estimate, frame)
@@ -98,7 +101,7 @@ def cloud_figure(belief: Belief, estimate: TrackHistory, truth: Tensor | None, f
     limits = to_array(frame.low) * frame.scale, to_array(frame.high) * frame.scale
     for row, pair in zip(panels, pairs, strict=True):
         draw_panel(row[0], faint, limits, truth, frame, pair)
-        row[0].set_title(f"potential objects: {len(clouds)}", fontsize="small")
+        row[0].set_title(f"{time_s:.15g} s, potential objects: {len(clouds)}", fontsize="small")
         for panel, cloud in zip(row[1:], clouds, strict=False):
             # The particles of an object may all lie in one place.
             half = np.maximum(WIDE * cloud.spread, 1e-6 * (1 + abs(cloud.centre)))

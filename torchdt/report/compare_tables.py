@@ -11,10 +11,11 @@ from pathlib import Path
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
+from torch import Tensor
 
 from torchdt.metrics import Gospa
 from torchdt.report.events import EventReport
-from torchdt.report.files import write_json
+from torchdt.report.files import seconds, write_json
 from torchdt.report.quality import Quality, write_table
 
 
@@ -60,19 +61,21 @@ def write_comparison(directory: Path, rows: Sequence[Comparison]) -> None:
     write_table(directory / "compare.csv", table)
 
 
-def write_gospa_table(path: str | os.PathLike[str], scores: Mapping[str, Gospa]) -> None:
+def write_gospa_table(path: str | os.PathLike[str], scores: Mapping[str, Gospa], times: Tensor) -> None:
     """Write one row per tracker, run and step, the last two counted from zero.
 
     Args:
         path: where to write, usually `gospa.csv`.
         scores: `(B, K)` by the tracker's name, one or more.
+        times: `(B, K)` of the steps, s, see `Recording.times`.
     """
     names = ("gospa", *Gospa._fields[1:])
     rows: list[dict[str, object]] = []
+    time = seconds(times)
     for tracker, score in scores.items():
         parts = [part.tolist() for part in score]
         for run, step in itertools.product(*map(range, score.total.shape)):
-            rows.append({"tracker": tracker, "run": run, "step": step})
+            rows.append({"tracker": tracker, "run": run, "step": step, "time_s": time[run][step]})
             rows[-1] |= {name: part[run][step] for name, part in zip(names, parts, strict=True)}
     write_table(path, rows)
 

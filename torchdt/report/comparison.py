@@ -26,18 +26,18 @@ TICK_MINUTES = 5
 
 def trajectory_figure(
     truth: Mapping[str, Tensor],
-    step_s: float,
+    times: Tensor,
     element_depths: Tensor | None = None,
     axes: Sequence[Axis] = WAVEGUIDE_AXES,
 ) -> Figure:
     """Draw where sources go in the plane of range and depth, and the array.
 
-    A circle is where a source starts, a dot where it is after every five minutes, with that number of
-    minutes beside it.
+    A circle is where a source starts, a dot where it is at every fifth minute, with that number of minutes
+    beside it.
 
     Args:
         truth: `(K, 2)` true positions by the source's name, NaN = absent.
-        step_s: seconds from one step to the next; step 0 is at time 0.
+        times: `(K,)` of the steps, s.
         element_depths: `(M,)` m, of a vertical array at range zero; None draws no array.
         axes: of range and depth.
     """
@@ -51,7 +51,7 @@ def trajectory_figure(
         present = ~np.isnan(points).any(-1)
         start = points[present.argmax()]
         panel.plot(*start, "o", ms=9, mew=1.5, mfc="none", color=colour)
-        for minute, step in tick_steps(len(points), step_s).items():
+        for minute, step in tick_steps(times).items():
             # A source that stays would have all its numbers in one place, where none could be read.
             if not present[step] or (points[step] == start).all():
                 continue
@@ -79,30 +79,32 @@ def trajectory_figure(
     return figure
 
 
-def tick_steps(num_steps: int, step_s: float) -> dict[int, int]:
-    """Steps nearest to every fifth minute, by that minute; the start is none."""
-    last = (num_steps - 1) * step_s / 60
-    minutes = range(TICK_MINUTES, math.floor(last) + 1, TICK_MINUTES)
-    return {minute: round(minute * 60 / step_s) for minute in minutes}
+def tick_steps(times: Tensor) -> dict[int, int]:
+    """Steps nearest to every fifth minute after the first of the times `(K,)` s, by that minute."""
+    first, last = (math.floor(times[end].item() / 60 / TICK_MINUTES) for end in (0, -1))
+    minutes = [TICK_MINUTES * number for number in range(first + 1, last + 1)]
+    return {minute: int((times - 60 * minute).abs().argmin()) for minute in minutes}
 
 
 def gospa_comparison_figure(
-    scores: Mapping[str, Gospa], hidden: Tensor, step_s: float, unit: str = "m"
+    scores: Mapping[str, Gospa], hidden: Tensor, times: Tensor, unit: str = "m"
 ) -> Figure:
     """Draw the mean GOSPA of several trackers over time; the means in the legend leave hidden steps out.
 
     Args:
         scores: `(B, K)` by the tracker's name.
         hidden: `(K,)` bool, steps in which not every source can be seen, shaded.
-        step_s: seconds from one step to the next; step 0 is at time 0.
+        times: `(K,)` of the steps, s.
         unit: of the coordinates.
     """
     figure = Figure(figsize=(7.2, 3.0), layout="constrained")
     panel = figure.subplots()
-    minutes = np.arange(len(hidden)) * step_s / 60
+    minutes = to_array(times) / 60
+    # Half-way between the steps.
+    bounds = np.concatenate([minutes[:1], (minutes[1:] + minutes[:-1]) / 2, minutes[-1:]])
     # Where the flag changes: first hidden step and first visible one, in turn.
     edges = np.flatnonzero(np.diff(np.pad(to_array(hidden).astype(int), 1))).reshape(-1, 2)
-    for order, (left, right) in enumerate((edges - 0.5) * step_s / 60):
+    for order, (left, right) in enumerate(bounds[edges]):
         panel.axvspan(left, right, color="black", alpha=0.1, lw=0, label=None if order else "hidden")
     for index, (name, score) in enumerate(scores.items()):
         curve = score.total.mean(0)

@@ -26,15 +26,26 @@ WAVEGUIDE_COLUMNS = ("range_m", "depth_m", "range_rate_mps", "depth_rate_mps")
 PACKAGES = ("torchdt", "torch", "numpy", "scipy", "hydra-core", "tensorboard", "matplotlib", "rich")
 
 
-def write_gospa_csv(path: str | os.PathLike[str], gospa: Gospa) -> None:
+def write_gospa_csv(path: str | os.PathLike[str], gospa: Gospa, times: Tensor) -> None:
     """Write one row per run and step, both counted from zero.
 
     Args:
         path: where to write, usually `gospa.csv`.
         gospa: `(B, K)`.
+        times: `(B, K)` of the steps, s, see `Recording.times`.
     """
-    header = ("run", "step", "gospa", "localisation", "missed", "false", "num_truth", "num_estimated")
-    columns = [field.tolist() for field in gospa]
+    header = (
+        "run",
+        "step",
+        "time_s",
+        "gospa",
+        "localisation",
+        "missed",
+        "false",
+        "num_truth",
+        "num_estimated",
+    )
+    columns = [seconds(times), *(field.tolist() for field in gospa)]
     num_runs, num_steps = gospa.total.shape
     rows = (
         (run, step, *(column[run][step] for column in columns))
@@ -47,7 +58,7 @@ def write_gospa_csv(path: str | os.PathLike[str], gospa: Gospa) -> None:
 def write_tracks_csv(
     path: str | os.PathLike[str],
     history: TrackHistory,
-    step_s: float,
+    times: Tensor,
     coordinates: Sequence[str] = WAVEGUIDE_COLUMNS,
 ) -> None:
     """Write one row per declared object, sorted by run, step and slot.
@@ -55,7 +66,7 @@ def write_tracks_csv(
     Args:
         path: where to write, usually `tracks.csv`.
         history: batch shape `(B,)`.
-        step_s: seconds from one step to the next; step 0 is at time 0.
+        times: `(B, K)` of the steps, s, see `Recording.times`.
         coordinates: column names of the D state entries, units included.
 
     Raises:
@@ -71,9 +82,15 @@ def write_tracks_csv(
     run, step = (axis.tolist() for axis in index[:2])
     label, existence = history.label[index].tolist(), history.existence[index].tolist()
     parts = history.state, history.power, history.state_std
-    values = torch.cat([part[index].to(history.state) for part in parts], -1).tolist()
-    rows = ((run[i], step[i], step[i] * step_s, label[i], existence[i], *values[i]) for i in range(len(run)))
+    values = torch.cat([part[index].to(history.state) for part in parts], -1).T.tolist()
+    time = seconds(times)
+    rows = ((b, k, time[b][k], *row) for b, k, *row in zip(run, step, label, existence, *values, strict=True))
     _write_csv(path, header, rows)
+
+
+def seconds(times: Tensor) -> list[list[str]]:
+    """Times `(B, K)` as they are written: all digits, since seconds may count from long ago."""
+    return [[f"{time:.15g}" for time in row] for row in times.tolist()]
 
 
 def write_variants_csv(

@@ -68,6 +68,7 @@ class TensorBoardReport(EventReport):
     def add_step(
         self,
         step: int,
+        time_s: float,
         state: object,
         estimate: TrackHistory,
         gospa: Gospa | None = None,
@@ -79,6 +80,7 @@ class TensorBoardReport(EventReport):
 
         Args:
             step: its number.
+            time_s: its time, s, in the title of the particle clouds.
             state: of the tracker after this step, see `belief_of`.
             estimate: of this step, a `TrackHistory` without its time dimension, in units of the data.
             gospa: of this step, or None without truth.
@@ -98,7 +100,7 @@ class TensorBoardReport(EventReport):
             )
             self._add_tones(f"power_db/{name}", estimate.power[slot], step)
         if self._interval is not None and step % self._interval == 0:
-            self._add_belief(step, belief_of(state, estimate), estimate, truth)
+            self._add_belief(step, belief_of(state, estimate), estimate, truth, time_s)
 
     def add_config(self, config: Mapping[str, object]) -> None:
         """Write the resolved configuration as text under `config`."""
@@ -107,7 +109,7 @@ class TensorBoardReport(EventReport):
             writer.add_text("config", f"```json\n{text}\n```")
 
     def _add_belief(
-        self, step: int, belief: Belief | None, estimate: TrackHistory, truth: Tensor | None
+        self, step: int, belief: Belief | None, estimate: TrackHistory, truth: Tensor | None, time_s: float
     ) -> None:
         existence = estimate.existence[estimate.existence > 0].cpu().double().numpy()
         self._add_histogram("belief/existence", existence, np.ones_like(existence), EXISTENCE_EDGES, step)
@@ -117,7 +119,8 @@ class TensorBoardReport(EventReport):
             levels, weight = decibels(belief.power[slot], belief.power_weight[slot])
             self._add_histogram(f"belief/power_db/{name}", levels, weight, whole_edges(levels), step)
         if self._frame is not None:
-            self.add_figure("belief/particles", cloud_figure(belief, estimate, truth, self._frame), step)
+            figure = cloud_figure(belief, estimate, truth, time_s, self._frame)
+            self.add_figure("belief/particles", figure, step)
 
     def _add_histogram(
         self, tag: str, values: np.ndarray, weight: np.ndarray, edges: np.ndarray, step: int

@@ -1,7 +1,8 @@
 """Recordings in NumPy's `.npz` format, without pickles.
 
-Keys: `snapshots` or `covariance` with `num_snapshots`; `step_s`; and, where a field or a score needs them,
-`freqs`, `element_depths`, `sensor_positions`, `truth`. `validate` says what each must be.
+Keys: `snapshots` or `covariance` with `num_snapshots`; `step_s`, and if need be `start_s` and `span_s`; and,
+where a field or a score needs them, `freqs`, `element_depths`, `sensor_positions`, `truth`. `validate` says
+what each must be.
 """
 
 import logging
@@ -62,6 +63,8 @@ def write_npz(path: str | os.PathLike[str], recording: Recording) -> None:
         recording: what to write; its name is not stored, the file's name stands for it.
     """
     values = {key: getattr(recording, key) for key in KEYS}
+    if (recording.start_s == recording.start_s[0]).all():
+        values["start_s"] = recording.start_s[0]
     arrays = {key: np.asarray(_plain(value)) for key, value in values.items() if value is not None}
     with atomic_write(path) as file:
         np.savez(file, allow_pickle=False, **arrays)

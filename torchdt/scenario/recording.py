@@ -35,6 +35,9 @@ class Recording:
 
     Attributes:
         step_s: seconds from one step to the next.
+        start_s: `(B,)` float64, time of the first sample of the first step, s.
+        span_s: seconds from the first to the last sample of a step, which may be more than `step_s` where
+            steps share samples; None if it is `step_s`.
         snapshots: `(B, K, I, J, M)` complex, any unit of pressure; NaN = missing. None if `covariance`.
         covariance: `(B, K, I, M, M)` complex Hermitian sample covariance; NaN = missing. None if `snapshots`.
         num_snapshots: number of snapshots J behind each covariance.
@@ -46,6 +49,8 @@ class Recording:
     """
 
     step_s: float
+    start_s: Tensor
+    span_s: float | None = None
     snapshots: Tensor | None = None
     covariance: Tensor | None = None
     num_snapshots: float | None = None
@@ -99,11 +104,12 @@ class Recording:
         """Change what has a batch dimension."""
         parts = (self.snapshots, self.covariance, self.truth)
         snapshots, covariance, truth = (None if part is None else change(part) for part in parts)
-        return replace(self, snapshots=snapshots, covariance=covariance, truth=truth)
+        start_s = change(self.start_s)
+        return replace(self, start_s=start_s, snapshots=snapshots, covariance=covariance, truth=truth)
 
     def times(self) -> Tensor:
-        """`(K,)` float64 seconds since the first step."""
-        return torch.arange(self.num_steps, dtype=torch.float64) * self.step_s
+        """Time of each step, to which its estimates and its truth belong: `(B, K)`, see `step_times`."""
+        return step_times(self.num_steps, self.step_s, self.start_s, self.span_s)
 
     def missing_summary(self) -> MissingSummary:
         """Count the missing entries and find the channels that never deliver."""
@@ -113,9 +119,30 @@ class Recording:
         return MissingSummary(int(missing.sum()), missing.numel(), dead)
 
 
+def step_times(
+    num_steps: int, step_s: float, start_s: Tensor | float = 0.0, span_s: float | None = None
+) -> Tensor:
+    """The middle of the samples that each step is made of, `start_s + k step_s + span_s / 2`.
+
+    Args:
+        num_steps: number K of steps.
+        step_s: seconds from one step to the next.
+        start_s: `(*batch,)` time of the first sample of the first step, s.
+        span_s: seconds from the first to the last sample of a step; None if it is `step_s`.
+
+    Returns:
+        `(*batch, K)` float64, s.
+    """
+    middle = torch.as_tensor(start_s, dtype=torch.float64) + (step_s if span_s is None else span_s) / 2
+    steps = torch.arange(num_steps, dtype=torch.float64, device=middle.device)
+    return middle[..., None] + step_s * steps
+
+
 def validate(
     *,
     step_s: Tensor | float | None = None,
+    start_s: Tensor | float | None = None,
+    span_s: Tensor | float | None = None,
     snapshots: Tensor | None = None,
     covariance: Tensor | None = None,
     num_snapshots: Tensor | float | None = None,
@@ -128,7 +155,8 @@ def validate(
     """Make a recording out of arrays, or say what is wrong with them.
 
     The arguments are the attributes of `Recording`. The batch dimension may be left out of the data and of
-    the truth. Data keep their precision; all else becomes float64.
+    the truth; `start_s` may be one number for all, and is 0 if it is left out. Data keep their precision; all
+    else becomes float64.
 
     Raises:
         InputError: naming the key, what was found and what was expected. Missing data (NaN) are no error.
@@ -138,6 +166,9 @@ def validate(
     step = _scalar("step_s", step_s, "a number of seconds above zero")
     if step <= 0:
         raise InputError.of_key("step_s", step, "a number of seconds above zero")
+    span = None if span_s is None else _scalar("span_s", span_s, "a number of seconds from zero up")
+    if span is not None and span < 0:
+        raise InputError.of_key("span_s", span, "a number of seconds from zero up")
 
     if snapshots is not None and covariance is not None:
         raise InputError.of_key("covariance", "snapshots as well", "either snapshots or covariance")
@@ -149,6 +180,7 @@ def validate(
     else:
         raise InputError.of_key("snapshots", "neither snapshots nor covariance", "one of the two")
     batch_size, num_steps, num_tones, num_sensors = *data.shape[:3], data.shape[-1]
+    start = _start(start_s, batch_size)
 
     count = None if num_snapshots is None else _scalar("num_snapshots", num_snapshots, "a number from one up")
     if covariance is not None and count is None:
@@ -170,7 +202,27 @@ def validate(
     if truth is not None:
         truth = _truth(truth, batch_size, num_steps)
 
-    return Recording(step, snapshots, covariance, count, freqs, element_depths, sensor_positions, truth, name)
+    return Recording(
+        step_s=step,
+        start_s=start,
+        span_s=span,
+        snapshots=snapshots,
+        covariance=covariance,
+        num_snapshots=count,
+        freqs=freqs,
+        element_depths=element_depths,
+        sensor_positions=sensor_positions,
+        truth=truth,
+        name=name,
+    )
+
+
+def _start(value: Tensor | float | None, batch_size: int) -> Tensor:
+    """`(B,)`, of one number for all recordings or one for each."""
+    start = value if isinstance(value, Tensor) else torch.tensor(value or 0.0, dtype=torch.float64)
+    if start.dim() == 0:
+        start = start.expand(batch_size)
+    return _finite("start_s", start, (batch_size,), "s, one number or one for each recording")
 
 
 def _scalar(key: str, value: Tensor | float, expected: str) -> float:

@@ -20,7 +20,7 @@ class PathSettings:
     """A way through the region.
 
     Attributes:
-        times_s: times of the waypoints in seconds since the first step, increasing.
+        times_s: times of the waypoints in seconds since the middle of the first step, increasing.
         positions: one position per waypoint, in the region's coordinates; a cubic spline joins three or
             more, a line two, and a single one stands still.
     """

@@ -46,9 +46,9 @@ def read_tart(path: str | os.PathLike[str], average: int = 10, num_snapshots: fl
         num_snapshots: J that each step is to count as.
 
     Returns:
-        The recording: `covariance` `(1, K, 1, M, M)`; positions of the sensors to the east, north and up, m;
-        and as `truth` `(1, K, L, 2)` the direction cosines, to the east and to the north, of the satellites
-        that send in the band, NaN where one is below `LOWEST`.
+        The recording, its time that of `t_unix`: `covariance` `(1, K, 1, M, M)`; positions of the sensors to
+        the east, north and up, m; and as `truth` `(1, K, L, 2)` the direction cosines, to the east and to the
+        north, of the satellites that send in the band, NaN where one is below `LOWEST`.
 
     Raises:
         InputError: no such file, not a complete `.npz`, or a key that is missing or does not fit.
@@ -62,10 +62,13 @@ def read_tart(path: str | os.PathLike[str], average: int = 10, num_snapshots: fl
         times = arrays["t_unix"].double()
         require(len(times) > 1, "t_unix", "one time", "two or more, a step apart")
         covariance = _steps(_covariance(arrays), average)
+        interval = (times[-1] - times[0]) / (len(times) - 1)
         return validate(
             covariance=covariance[None, :, None],
             num_snapshots=num_snapshots,
-            step_s=average * (times[-1] - times[0]) / (len(times) - 1),
+            step_s=average * interval,
+            start_s=times[0],
+            span_s=(average - 1) * interval,
             freqs=arrays["freq_hz"][None],
             sensor_positions=arrays["ant_enu_m"],
             truth=_truth(arrays, average)[None],

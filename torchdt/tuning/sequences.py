@@ -9,7 +9,7 @@ from torch import Tensor
 from torchdt.errors import require
 from torchdt.scenario.recording import Recording
 
-ALIKE = ("step_s", "num_snapshots", "freqs", "element_depths", "sensor_positions")
+ALIKE = ("step_s", "span_s", "num_snapshots", "freqs", "element_depths", "sensor_positions")
 
 
 def stack_recordings(recordings: Sequence[Recording], pad: bool = False) -> tuple[Recording, Tensor]:
@@ -52,10 +52,9 @@ def stack_recordings(recordings: Sequence[Recording], pad: bool = False) -> tupl
     if len(truths) == len(recordings):
         most = max(t.shape[2] for t in truths)
         truth = torch.cat([_grow(_grow(t, 1, longest), 2, most) for t in truths])
+    joined = replace(first, start_s=torch.cat([r.start_s for r in recordings]), truth=truth)
     return (
-        replace(first, snapshots=data, truth=truth)
-        if kind == "snapshots"
-        else replace(first, covariance=data, truth=truth)
+        replace(joined, snapshots=data) if kind == "snapshots" else replace(joined, covariance=data)
     ), mask
 
 
