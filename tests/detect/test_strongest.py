@@ -4,10 +4,10 @@ import pytest
 import torch
 from oracles.arrays import complex_normal
 
-from torchdt.bp.rank_one import whiten
+from torchdt.bp.rank_one import Whitener, whiten
 from torchdt.detect.dictionary import Dictionary, likelihood_surface
 from torchdt.detect.strongest import BULK, strongest_cell
-from torchdt.model.measurement import from_snapshots
+from torchdt.model.measurement import from_snapshots, mask_covariance
 
 TONES, CELLS, SENSORS = 3, 400, 12
 
@@ -109,3 +109,72 @@ def test_only_some_sequences_are_looked_at(rng):
         assert torch.equal(cell[among], expected.indices[among])
         assert score[~among].isneginf().all()
         assert strongest_cell(dictionary, whitener, among & ~among)[0].isneginf().all()
+
+
+def make_waves(*spacings, dtype):
+    """Plane waves of unit norm on a line, one tone for each spacing of the sensors in wavelengths.
+
+    Neighbouring cells are alike where it is small, and nothing is born in the first three.
+    """
+    sine = torch.linspace(-1, 1, 61, dtype=torch.float64)
+    cycles = torch.tensor(spacings)[:, None, None] * sine[:, None] * torch.arange(SENSORS)
+    response = torch.polar(torch.full_like(cycles, SENSORS**-0.5), 2 * torch.pi * cycles).to(dtype)
+    response[:, :3] = 0.0
+    return Dictionary(sine[:, None], response, torch.linalg.vector_norm(response, dim=-1).square())
+
+
+def make_step(rng, dictionary, condition, num):
+    """Up to three objects known in noise of variance one, and one more heard in every other sequence.
+
+    Two sensors are dead in one in three sequences, the first tone in one in four, and the last has no data.
+    """
+    response = dictionary.response.to(torch.complex128)
+    tones, cells = response.shape[-3:-1]
+    place = torch.randint(3, cells, (num, 1, 4, 1), generator=rng)
+    steering = response.expand(num, *response.shape[-3:]).take_along_dim(place, -2)
+    known = torch.rand(num, 1, 3, generator=rng, dtype=torch.float64) < 0.7
+    power = (condition - 1) * torch.tensor([1.0, 0.3, 0.01], dtype=torch.float64) * known
+    amplitude = complex_normal(rng, num, tones, 3, 4)
+    amplitude[..., :3] *= power.sqrt()[..., None, :]
+    amplitude[..., 3] *= 5.0 * (torch.arange(num) % 2)[:, None, None]
+    data = amplitude @ steering + complex_normal(rng, num, tones, 3, SENSORS)
+    data[::3, ..., [3, 7]] = torch.nan
+    data[::4, 0] = torch.nan
+    data[-1] = torch.nan
+    known_steering = steering[..., :3, :]
+    signal = (known_steering.mT * power[..., None, :]) @ known_steering.conj()
+    measurement = from_snapshots(data)
+    noise = torch.ones(num, tones, dtype=torch.float64)
+    whitener = whiten(measurement, mask_covariance(signal, noise, measurement.present))
+    real = dictionary.energy.dtype
+    return Whitener(whitener.projection.to(dictionary.response.dtype), whitener.num_snapshots.to(real))
+
+
+def assert_is_that_of_testing_all(dictionary, whitener, condition):
+    surface = likelihood_surface(dictionary, whitener)
+    score, cell = anywhere(dictionary, whitener)
+    # Where s nearly cancels, the order of a sum changes it by the root of the condition.
+    accuracy = 20 * torch.finfo(score.dtype).eps * condition**0.5
+    torch.testing.assert_close(score, surface.amax(-1), rtol=accuracy, atol=accuracy)
+    torch.testing.assert_close(
+        surface.gather(-1, cell[..., None])[..., 0], score, rtol=accuracy, atol=accuracy
+    )
+
+
+@pytest.mark.parametrize("dtype", [torch.complex64, torch.complex128])
+@pytest.mark.parametrize("condition", [1.0, 1e3, 1e6, 1e9])
+def test_rounding_hides_no_cell(rng, condition, dtype, monkeypatch):
+    monkeypatch.setattr("torchdt.detect.strongest.PROMISING", 1)  # more of them would hide a wrong bound
+    one = make_waves(0.02, 0.2, 0.5, dtype=dtype)
+    assert_is_that_of_testing_all(one, make_step(rng, one, condition, 24), condition)
+    several = [make_waves(*(0.6 * torch.rand(3, generator=rng)).tolist(), dtype=dtype) for _ in range(24)]
+    each = Dictionary(one.points, *(torch.stack([d[i] for d in several]) for i in (1, 2)))
+    assert_is_that_of_testing_all(each, make_step(rng, each, condition, 24), condition)
+
+
+@pytest.mark.parametrize("dtype", [torch.complex64, torch.complex128])
+@pytest.mark.parametrize("condition", [1.0, 1e5, 1e9])
+def test_flat_surface(rng, condition, dtype):
+    """All cells alike, as of an array much smaller than the wavelength."""
+    dictionary = make_waves(1e-7, 1e-7, dtype=dtype)
+    assert_is_that_of_testing_all(dictionary, make_step(rng, dictionary, condition, 12), condition)
