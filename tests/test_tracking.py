@@ -56,10 +56,37 @@ def test_units_change_nothing_but_the_units(snapshots, unit):
     torch.testing.assert_close(other.log_evidence + jacobian, one.log_evidence, rtol=1e-6, atol=1e-5)
 
 
-def test_units_in_single_precision(snapshots):
+@pytest.mark.parametrize("unit", [7.3e5, 1e25, 1e-25, 1e140])
+def test_units_in_single_precision(snapshots, unit):
+    """Powers in squared units, which single precision does not hold, are in double."""
     tracker = make_tracker(torch.float32)
-    one, other = (track(record(u * snapshots), tracker, [1, 2]) for u in (1.0, 7.3e5))
+    data = snapshots[:, :6].to(torch.complex128)
+    one, other = (track(record(u * data), tracker, [1, 2]) for u in (1.0, unit))
     assert_same_tracks(other, one, rtol=2e-3, atol=2e-3)
+    alive = one.declared
+    assert alive.any()
+    for name, found, expected in zip(
+        ("power", "noise"), (other.power[alive], other.noise), (one.power[alive], one.noise), strict=True
+    ):
+        assert found.dtype == torch.float64, name
+        torch.testing.assert_close(found / unit**2, expected, rtol=2e-3, atol=0)
+
+
+@pytest.mark.parametrize("unit", [1e200, 1e-200])
+def test_units_whose_powers_are_no_numbers_are_named(snapshots, unit):
+    data = unit * snapshots[:, :2].to(torch.complex128)
+    with pytest.raises(
+        InputError, match=r"key 'snapshots': found a root mean square of .*e[+-](199|200|201), "
+    ):
+        track(record(data), make_tracker(), [1, 2])
+
+
+@pytest.mark.parametrize("name", ["power_max", "noise_max"])
+@pytest.mark.parametrize("limit", [1e60, 1e-60])
+def test_limits_far_from_the_data_are_named(snapshots, name, limit):
+    tracker = make_tracker(torch.float32, **{name: limit})
+    with pytest.raises(InputError, match=rf"key 'tracker.{name}': found 1e.60, expected a number within"):
+        track(record(snapshots), tracker, [1, 2])
 
 
 def test_limits_of_the_priors_are_in_units_of_the_data(snapshots):

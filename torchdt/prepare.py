@@ -13,6 +13,12 @@ from torchdt.model.prior import Priors, data_priors, data_scale
 from torchdt.model.region import Region
 from torchdt.scenario.recording import Recording
 
+LARGEST = 1e150
+"""Root mean square of data up to which, and from whose inverse on, powers are numbers in double precision."""
+
+FAR = 1e30
+"""Factor between a limit of a prior and the mean square of the data that single precision can still bear."""
+
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
@@ -41,21 +47,24 @@ def prepare(
         config: limits of the priors, where they are set; None takes them from the data.
 
     Raises:
-        InputError: where tones or sensors differ from the field's, a recording is zero throughout, or an
-            effective count is configured for snapshots, whose number is known.
+        InputError: where tones or sensors differ from the field's, a recording is zero throughout or so small
+            or large that its powers do not exist in double precision, a configured limit is too far from the
+            data, or an effective count is configured for snapshots, whose number is known.
     """
-    for key, found, expected in (
+    data_key = "snapshots" if recording.covariance is None else "covariance"
+    for size, found, fit in (
         ("tones", recording.num_tones, field.num_tones),
         ("sensors", recording.num_sensors, field.num_sensors),
     ):
-        if found != expected:
-            name = "snapshots" if recording.covariance is None else "covariance"
-            raise InputError.of_key(name, f"{found} {key}", f"{expected} {key}, as the field has")
+        require(found == fit, data_key, f"{found} {size}", f"{fit} {size}, as the field has")
     data = recording.data.to(torch.complex128)
     is_covariance = recording.covariance is not None
     count = None if config is None else config.effective_count
     require(is_covariance or count is None, "tracker.effective_count", count, "null: the data are snapshots")
     scale = data_scale(data, is_covariance)
+    for value in scale[(scale <= 1 / LARGEST) | (scale >= LARGEST)].tolist()[:1]:
+        expected = f"one from {1 / LARGEST:g} to {LARGEST:g}, whose square double precision can hold"
+        raise InputError.of_key(data_key, f"a root mean square of {value:.3g}", expected)
     # Scaled in double and then rounded: the same numbers whatever unit the file is in.
     divisor = scale.square() if is_covariance else scale
     scaled = (data / divisor[:, None, None, None, None]).to(
@@ -68,9 +77,19 @@ def prepare(
     else:
         measurement = from_snapshots(scaled)
     priors = data_priors(measurement)
-    unit = scale.square().to(priors.power_max)[:, None]
-    if config is not None and config.power_max is not None:
-        priors = priors._replace(power_max=(config.power_max / unit).expand_as(priors.power_max))
-    if config is not None and config.noise_max is not None:
-        priors = priors._replace(noise_max=(config.noise_max / unit).expand_as(priors.noise_max))
+    for name in priors._fields:
+        limit = None if config is None else getattr(config, name)
+        if limit is not None:
+            like: Tensor = getattr(priors, name)
+            priors = priors._replace(**{name: _in_units(name, limit, scale).to(like).expand_as(like)})
     return Prepared(measurement, priors, scale)
+
+
+def _in_units(key: str, limit: float, scale: Tensor) -> Tensor:
+    """A limit of a prior in squared units of the data, `(B, 1)` float64."""
+    square = scale.square()
+    relative = limit / square
+    for value in square[(relative <= 1 / FAR) | (relative >= FAR)].tolist()[:1]:
+        expected = f"a number within a factor of {FAR:g} of the mean square of the data, {value:.3g}"
+        raise InputError.of_key(f"tracker.{key}", limit, expected)
+    return relative[:, None]

@@ -50,7 +50,8 @@ def track(
             of a run that was never interrupted.
 
     Returns:
-        History of batch `(B,)` with powers, noise and evidence in units of the recording.
+        History of batch `(B,)` with powers, noise and evidence in units of the recording, and in double
+        precision.
 
     Raises:
         InputError: where the recording does not fit the field, there is not one seed for each sequence,
@@ -122,7 +123,8 @@ class _Units:
     def __init__(self, prepared: Prepared) -> None:
         priors, measurement = prepared.priors, prepared.measurement
         unit = prepared.scale.to(priors.noise_max.device)
-        self.square = unit.square().to(priors.noise_max.dtype)
+        # Double: in single precision, squares of what is below 1e-22 or above 1e19 do not exist.
+        self.square = unit.square()
         # The density of complex data z = unit * z' is that of z' over unit^2 for every complex entry.
         entries = (measurement.num_snapshots * measurement.present.sum(-1)).sum(-1)
         self.jacobian = 2 * entries.double() * unit.log()[:, None]
@@ -131,8 +133,8 @@ class _Units:
         """Scale the history of some consecutive steps."""
         last = first + history.log_evidence.shape[1]
         return history._replace(
-            power=history.power * self.square[:, None, None, None],
-            noise=history.noise * self.square[:, None, None],
+            power=history.power.double() * self.square[:, None, None, None],
+            noise=history.noise.double() * self.square[:, None, None],
             log_evidence=history.log_evidence.double() - self.jacobian[:, first:last],
         )
 

@@ -82,7 +82,7 @@ def write_tracks_csv(
     run, step = (axis.tolist() for axis in index[:2])
     label, existence = history.label[index].tolist(), history.existence[index].tolist()
     parts = history.state, history.power, history.state_std
-    values = torch.cat([part[index].to(history.state) for part in parts], -1).T.tolist()
+    values = torch.cat([part[index].double() for part in parts], -1).T.tolist()
     time = seconds(times)
     rows = ((b, k, time[b][k], *row) for b, k, *row in zip(run, step, label, existence, *values, strict=True))
     _write_csv(path, header, rows)
