@@ -17,6 +17,7 @@ import torchdt.experiment.tune_settings
 from torchdt.calibration.environment import CalibrationConfig
 from torchdt.experiment import fields
 from torchdt.experiment.build import build_region, build_tracker, simulate
+from torchdt.experiment.claims import DirectoryClaims
 from torchdt.experiment.settings import settings_of
 from torchdt.experiment.sweep import SweepReport
 from torchdt.experiment.tunable import build_problem, gather
@@ -152,5 +153,7 @@ def test_hydra_launcher(name):
 
 @pytest.mark.parametrize("name", options("hydra/callbacks"))
 def test_hydra_callbacks(name):
-    config = composed("track", return_hydra_config=True)
-    assert isinstance(instantiate(config.hydra.callbacks[name]), SweepReport)
+    config = composed("track", f"hydra/callbacks={name}", return_hydra_config=True)
+    claims, report = (instantiate(callback) for callback in config.hydra.callbacks.values())
+    assert isinstance(claims, DirectoryClaims)  # before any other: what is refused says nothing
+    assert isinstance(report, SweepReport)

@@ -7,9 +7,12 @@ import pytest
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.types import RunMode
 from omegaconf import OmegaConf
+from oracles.processes import at_work
 from oracles.storage import full_disk
 
+from torchdt.claim import InUseError, release_all
 from torchdt.errors import StorageError
+from torchdt.experiment.claims import RUN
 from torchdt.experiment.sweep import SweepReport
 
 
@@ -32,7 +35,8 @@ def report(config):
     report = SweepReport()
     report.on_multirun_start(config)
     report.on_job_start(config)
-    return report
+    yield report
+    release_all()
 
 
 def ended(status, value):
@@ -103,3 +107,22 @@ def test_a_single_run_keeps_its_error(config, tmp_path):
     with pytest.raises(ValueError, match="wrong"):
         job.return_value  # noqa: B018
     assert not (tmp_path / "3" / "job.json").exists()
+
+
+def test_a_job_has_its_directory_from_its_start_to_its_end(report, config, tmp_path):
+    assert (tmp_path / "3" / RUN).exists()
+    report.on_job_end(config, ended(JobStatus.COMPLETED, 2.5))
+    assert not (tmp_path / "3" / RUN).exists()
+
+
+def test_the_note_of_another_process_stays(config, tmp_path):
+    """The job that is refused is an error of its sweep: nobody counts it as done."""
+    (tmp_path / "3" / "job.json").write_text("of another sweep")
+    report, job = SweepReport(), ended(JobStatus.FAILED, ValueError("before it looked for its directory"))
+    report.on_multirun_start(config)
+    with at_work(tmp_path / "3", RUN):
+        report.on_job_start(config)
+        report.on_job_end(config, job)
+    assert (tmp_path / "3" / "job.json").read_text() == "of another sweep"
+    with pytest.raises(InUseError, match="process 1 of elsewhere at work there"):
+        job.return_value  # noqa: B018

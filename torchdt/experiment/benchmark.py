@@ -6,11 +6,9 @@ A part of the benchmark is a function in `PARTS` that takes the settings and ret
 import dataclasses
 import logging
 from collections.abc import Callable
-from pathlib import Path
 
 import torch
 from hydra import compose
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
@@ -34,6 +32,7 @@ from torchdt.experiment.build import (
     build_tracking_field,
     simulate,
 )
+from torchdt.experiment.claims import run_directory
 from torchdt.experiment.settings import TrackSettings, settings_of
 from torchdt.model.measurement import Measurement
 from torchdt.prepare import prepare
@@ -62,7 +61,7 @@ def run_benchmark(config: DictConfig) -> list[Measured]:
     assert isinstance(settings, BenchmarkSettings)
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
-    directory = Path(HydraConfig.get().runtime.output_dir)
+    directory = run_directory()
     write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), 0))
     machine = describe_machine(settings.device)
     rows: list[Measured] = []

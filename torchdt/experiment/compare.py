@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import torch
 from hydra.core.config_store import ConfigStore
-from hydra.core.hydra_config import HydraConfig
 from matplotlib.figure import Figure
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
@@ -20,6 +19,7 @@ from torch import Tensor
 from torchdt.detect.dictionary import build_dictionary
 from torchdt.errors import StorageError, require
 from torchdt.experiment.build import build_region, build_tracker, build_tracking_field, simulate
+from torchdt.experiment.claims import run_directory
 from torchdt.experiment.figures import ambiguity_surface, axis_of
 from torchdt.experiment.outcomes import Outcome, load_outcomes, save_outcomes
 from torchdt.experiment.parallel import set_threads, track_in_chunks
@@ -116,7 +116,7 @@ def run_compare(config: DictConfig) -> list[Comparison]:
     """
     settings = OmegaConf.to_object(config)
     assert isinstance(settings, CompareSettings)
-    directory = Path(HydraConfig.get().runtime.output_dir)
+    directory = run_directory()
     plain = dataclasses.asdict(settings)
     fingerprint = {key: value for key, value in plain.items() if key != "tensorboard"}
     done = load_outcomes(directory / "checkpoint.pt", fingerprint)

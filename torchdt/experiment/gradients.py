@@ -13,13 +13,13 @@ import numpy as np
 import torch
 from hydra import compose
 from hydra.core.config_store import ConfigStore
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.table import Table
 
 from torchdt.atomic import atomic_write
 from torchdt.errors import require
+from torchdt.experiment.claims import run_directory
 from torchdt.experiment.settings import settings_of
 from torchdt.experiment.tunable import build_problem, gather
 from torchdt.experiment.tune_settings import TuneSettings
@@ -70,7 +70,7 @@ def run_gradients(config: DictConfig) -> list[tuple]:
     """
     settings = OmegaConf.to_object(config)
     assert isinstance(settings, GradientsSettings)
-    directory = Path(HydraConfig.get().runtime.output_dir)
+    directory = run_directory()
     write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), 0))
     rows: list[tuple] = []
     for gradient, truncate in itertools.product(settings.gradients, settings.truncations):

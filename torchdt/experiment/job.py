@@ -16,6 +16,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import MissingConfigException
 from omegaconf import DictConfig
 
+from torchdt.claim import release_all
 from torchdt.endings import INTERRUPTED, end, wants_traceback
 from torchdt.errors import InputError, StorageError
 from torchdt.experiment.progress import is_alone
@@ -40,7 +41,8 @@ def job(name: str) -> Callable[[], None]:
     one of which has an `error`, the exit status is 1; as part of a sweep the job has failed.
 
     What ends a job from outside is said in one line: bad input and storage that fails (both with a traceback
-    under `HYDRA_FULL_ERROR=1`), Ctrl-C and how to go on, a launcher's missing package.
+    under `HYDRA_FULL_ERROR=1`), Ctrl-C and how to go on, a launcher's missing package. At its end
+    it gives back the directories that it has claimed.
     """
     run = getattr(import_module(f"torchdt.experiment.{name}"), f"run_{name}")
 
@@ -75,6 +77,8 @@ def job(name: str) -> Callable[[], None]:
             if isinstance(missing, MissingConfigException) and extra:
                 sys.stderr.write(f"This launcher is an extra: pip install 'torchdt[{extra}]'\n")
             raise
+        finally:
+            release_all()
 
     return main
 

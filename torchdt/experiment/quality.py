@@ -7,13 +7,11 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
 from hydra import compose
 from hydra.core.config_store import ConfigStore
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from scipy.stats import t as student
@@ -21,6 +19,7 @@ from torch import Tensor
 
 from torchdt.errors import require
 from torchdt.experiment.build import build_tracker, simulate
+from torchdt.experiment.claims import run_directory
 from torchdt.experiment.parallel import set_threads, track_in_chunks
 from torchdt.experiment.settings import TrackSettings, settings_of
 from torchdt.experiment.track import score_history
@@ -91,7 +90,7 @@ def run_quality(config: DictConfig) -> list[Quality]:
     """
     settings = OmegaConf.to_object(config)
     assert isinstance(settings, QualitySettings)
-    directory = Path(HydraConfig.get().runtime.output_dir)
+    directory = run_directory()
     write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), settings.seeds[0]))
     rows: list[Quality] = []
     for scenario in settings.suite:

@@ -14,9 +14,9 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from torchdt.atomic import check_writable
-from torchdt.endings import end, wants_traceback
+from torchdt.claim import InUseError
 from torchdt.errors import StorageError
+from torchdt.experiment.claims import claim_run, release_run
 from torchdt.experiment.quality import one_line
 from torchdt.report.files import write_json
 
@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 
 
 class SweepReport(Callback):
-    """Hydra's callback of all jobs. Of a single run it makes the directory alone, and its error is its own.
+    """Hydra's callback of all jobs. A single run it leaves alone: that fails with its own error.
 
     Under `-m` each job keeps a `job.json` in its directory: `sweep` (its start), `number`, `overrides`,
     `status` (running, completed or failed), and from its end on `error` (one line or None), `seconds` and
@@ -33,35 +33,35 @@ class SweepReport(Callback):
     completed, and `jobs`, the content of `job.json` for each job in order; what failed is logged, and the
     exit status is 1.
 
+    A job has its directory to itself from its start to its end. One that finds another process at work there
+    writes nothing and is an error of the sweep, which the sweeper raises after the last job.
+
     Launchers send the callback to the processes of the jobs, so that what it knows of the sweep goes with it.
     """
 
-    def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Make the directory, of which Hydra would say in a traceback that it cannot be written.
-
-        Raises:
-            SystemExit: with status 1, where that is so.
-        """
-        _make(config.hydra.run.dir)
+    _refused: InUseError | None = None
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Make the directory, and note the start: it may hold jobs of an earlier sweep.
-
-        Raises:
-            SystemExit: with status 1, where the directory cannot be written.
-        """
-        _make(config.hydra.sweep.dir)
+        """Note the start: the directory may hold jobs of an earlier sweep."""
         self._sweep = datetime.now(UTC).isoformat()
 
     def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Leave a note that outlives the job's process."""
         if _is_sweep(config):
             self._start = time.perf_counter()
-            self._write(config, status="running")
+            try:
+                claim_run(config.hydra.runtime.output_dir)
+                self._refused = None
+                self._write(config, status="running")
+            except InUseError as error:  # of which Hydra would only warn
+                self._refused = error
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
         """Note what became of the job; a failed one returns NaN, one that cannot be noted an error."""
         if not _is_sweep(config):
+            return
+        if self._refused is not None:
+            job_return.return_value, job_return.status = self._refused, JobStatus.FAILED
             return
         result, error = job_return._return_value, None  # the property would raise the error
         if job_return.status is JobStatus.FAILED:
@@ -78,6 +78,7 @@ class SweepReport(Callback):
             )
         except StorageError as unknown:  # to the end of the sweep; the sweeper raises it after the last job
             job_return.return_value, job_return.status = unknown, JobStatus.FAILED
+        release_run(config.hydra.runtime.output_dir)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Write `sweep.json` and name the jobs that failed.
@@ -113,11 +114,3 @@ class SweepReport(Callback):
 
 def _is_sweep(config: DictConfig) -> bool:
     return config.hydra.mode is RunMode.MULTIRUN
-
-
-def _make(directory: str) -> None:
-    try:
-        check_writable(directory)
-    except StorageError as error:
-        if not wants_traceback():  # else it is Hydra's turn to find out
-            end(1, error)

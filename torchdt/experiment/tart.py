@@ -7,13 +7,13 @@ from pathlib import Path
 
 import torch
 from hydra.core.config_store import ConfigStore
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from rich.console import Console
 
 from torchdt.detect.points import Points
 from torchdt.errors import require
 from torchdt.experiment.build import build_recording, build_tracker, build_tracking_field
+from torchdt.experiment.claims import run_directory
 from torchdt.experiment.data_settings import TartSettings
 from torchdt.experiment.parallel import set_threads, track_in_chunks
 from torchdt.experiment.progress import track_progress
@@ -62,7 +62,7 @@ def run_tart(config: DictConfig) -> dict[str, SkyScore]:
     settings = settings_of(config)
     assert isinstance(settings, SkySettings)
     require(isinstance(settings.data, TartSettings), "data", settings.data.kind, "tart")
-    directory = Path(HydraConfig.get().runtime.output_dir)
+    directory = run_directory()
     write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), settings.seed))
     set_threads(settings)
     recording = build_recording(settings)

@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from torchdt.experiment.build import build_recording, build_tracker
+from torchdt.experiment.claims import run_directory
 from torchdt.experiment.figures import draw_figures
 from torchdt.experiment.live import LiveReport
 from torchdt.experiment.parallel import set_threads, track_in_chunks
@@ -53,7 +54,7 @@ def run_track(config: DictConfig) -> float | None:
         StorageError: where something cannot be written; the same command goes on when it can be.
     """
     settings = settings_of(config)
-    directory = Path(HydraConfig.get().runtime.output_dir)
+    directory = run_directory()
     name = HydraConfig.get().runtime.choices["tracker"]
     fingerprint = {"tracker": name, **fingerprint_of(settings)}
     checkpoint = RunCheckpoint(directory, fingerprint, settings.checkpoint_s)

@@ -10,6 +10,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from torch import Tensor
 
+from torchdt.experiment.claims import run_directory
 from torchdt.experiment.progress import tune_progress
 from torchdt.experiment.resume import fingerprint_of
 from torchdt.experiment.score import score_history
@@ -48,7 +49,7 @@ def run_tune(config: DictConfig) -> float | None:
     """
     settings = settings_of(config)
     assert isinstance(settings, TuneSettings)
-    directory = Path(HydraConfig.get().runtime.output_dir)
+    directory = run_directory()
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
     fingerprint = fingerprint_of(settings, [*settings.train_paths, *settings.heldout_paths])

@@ -8,12 +8,10 @@ import logging
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import NamedTuple
 
 import torch
 from hydra.core.config_store import ConfigStore
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
@@ -21,6 +19,7 @@ from torchdt.atomic import atomic_write
 from torchdt.detect.points import Points
 from torchdt.errors import InputError, require
 from torchdt.experiment.build import build_tracker, build_tracking_field, simulate
+from torchdt.experiment.claims import run_directory
 from torchdt.experiment.compare import compose_settings
 from torchdt.experiment.settings import TrackSettings
 from torchdt.experiment.track import score_history
@@ -107,7 +106,7 @@ def run_tune_points(config: DictConfig) -> float:
     """
     settings = OmegaConf.to_object(config)
     assert isinstance(settings, TunePointsSettings)
-    directory = Path(HydraConfig.get().runtime.output_dir)
+    directory = run_directory()
     write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), settings.seed))
     found = [detect(scenario, settings) for scenario in settings.suite]
     kinds = {(f.points.noise.shape[1:], f.points.position.shape[1:], f.region.coordinates) for f in found}
