@@ -2,9 +2,9 @@
 
 import argparse
 
-from rich.console import Console
 from rich.table import Table
 
+from torchdt.report.console import plain_console
 from torchdt.report.curves import curves_figure, read_curve
 
 
@@ -23,7 +23,7 @@ def main() -> None:
         reached = [curve.passes_to(other.best[-1]) for other in curves.values()]
         cells = ["-" if passes is None else str(passes) for passes in reached]
         table.add_row(name, str(curve.passes[-1]), f"{curve.best[-1]:.4f}", *cells)
-    Console().print(table)
+    plain_console().print(table)
     if arguments.figure:
         curves_figure(curves).savefig(arguments.figure, dpi=150)
 

@@ -224,6 +224,30 @@ def test_bad_input(sweep, tmp_path, monkeypatch, capsys, arguments, words):
     assert not any(tmp_path.glob("runs.*"))
 
 
+STRANGE = "[red]a[/nope] $x_{1$ :smile: \u00b2"
+
+
+def test_one_bad_directory_is_listed_and_names_are_no_markup(tmp_path, capsys):
+    """Whatever strangers call their settings and folders, and whatever a folder holds."""
+    for number, name in enumerate((STRANGE, "$\\frac{$", "plain")):
+        directory = tmp_path / str(number)
+        directory.mkdir()
+        config = {"scenario.name": name, "[bold]": name}
+        (directory / "manifest.json").write_text(json.dumps({"config": config}))
+        (directory / "metrics.json").write_text(json.dumps({"seconds": number, "$\\frac{$": 1.0}))
+    bad = tmp_path / "\u00b2" / b"no text \xff [/x]".decode(errors="surrogateescape")
+    bad.mkdir(parents=True)
+    (bad / "manifest.json").write_text("[" * 10**5)
+    figure, table = tmp_path / "runs.png", tmp_path / "runs.csv"
+    main([str(tmp_path), "--figure", str(figure), "--csv", str(table), "--metric", "$\\frac{$"])
+    out = "".join(capsys.readouterr().out.split())
+    assert "[red]a[/nope]$x_{1$:smile:\u00b2" in out
+    assert out.count("leftout:") == 1
+    assert "notext\\udcff[/x]" in out
+    assert "RecursionError" in out
+    assert matplotlib.image.imread(figure).std() > 0
+
+
 def test_script():
     assert load("collect").main is main
 

@@ -10,7 +10,6 @@ from collections.abc import Callable
 import torch
 from hydra import compose
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
 
 from torchdt.benchmark.clock import describe_machine
 from torchdt.benchmark.memory import measure_growth, measure_run_memory
@@ -38,6 +37,7 @@ from torchdt.model.measurement import Measurement
 from torchdt.prepare import prepare
 from torchdt.report.benchmark import Measured, print_benchmark, write_benchmark
 from torchdt.report.benchmark_figures import benchmark_figure
+from torchdt.report.console import plain_console
 from torchdt.report.files import manifest, write_json
 from torchdt.scenario.recording import Recording, validate
 from torchdt.tracker import DirectTracker
@@ -71,7 +71,7 @@ def run_benchmark(config: DictConfig) -> list[Measured]:
     figure = benchmark_figure(rows)
     if figure is not None:
         figure.savefig(directory / "benchmark.png", dpi=150)
-    print_benchmark(Console(), machine, rows)
+    print_benchmark(plain_console(), machine, rows)
     log.info("results in %s", directory)
     return rows
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import torch
 from matplotlib.figure import Figure
-from rich.console import Console
 
 from torchdt.atomic import atomic_write
 from torchdt.errors import InputError, StorageError
 from torchdt.experiment.quality import confidence
 from torchdt.report.collect import Row, interval_figure, print_rows, write_rows
 from torchdt.report.collect_runs import Run, read_runs
+from torchdt.report.console import plain_console, printable
 
 SHOWN = ("gospa", "log_likelihood", "heldout.after", "heldout_gospa.after", "direct.gospa", "mp_bp.gospa")
 
@@ -122,10 +122,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if options.figure:
             write_figure(options.figure, interval_figure(rows, metrics[0]))
     except (InputError, StorageError) as error:
-        parser.exit(1, f"{parser.prog}: {error}\n")
-    print_rows(console := Console(), rows, metrics)
+        parser.exit(1, printable(f"{parser.prog}: {error}\n"))
+    print_rows(console := plain_console(), rows, metrics)
     for reason in left_out:
-        console.print(f"left out: {reason}", style="red", markup=False, highlight=False)
+        console.print(f"left out: {printable(reason)}", style="red", highlight=False)
 
 
 def write_figure(path: str, figure: Figure) -> None:
@@ -165,4 +165,4 @@ def _setting(run: Run, names: Sequence[str]) -> str:
 
 
 def _in_order(path: Path) -> list[tuple[bool, int, str]]:
-    return [(not part.isdigit(), int(part) if part.isdigit() else 0, part) for part in path.parts]
+    return [(not part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in path.parts]

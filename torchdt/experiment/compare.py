@@ -13,7 +13,6 @@ import torch
 from hydra.core.config_store import ConfigStore
 from matplotlib.figure import Figure
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
 from torch import Tensor
 
 from torchdt.detect.dictionary import build_dictionary
@@ -39,6 +38,7 @@ from torchdt.report.compare_tables import (
     write_gospa_table,
 )
 from torchdt.report.comparison import gospa_comparison_figure, trajectory_figure
+from torchdt.report.console import plain_console
 from torchdt.report.figures import surface_figure
 from torchdt.report.files import manifest, write_figures, write_json
 from torchdt.report.quality import Quality
@@ -154,7 +154,7 @@ def run_compare(config: DictConfig) -> list[Comparison]:
                 row = dataclasses.replace(row, error=one_line(error))
             rows.append(row)
             write_comparison(directory, rows)
-    print_comparison(Console(), rows)
+    print_comparison(plain_console(), rows)
     log.info("results in %s", directory)
     return rows
 

@@ -14,7 +14,6 @@ import torch
 from hydra import compose
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
 from rich.table import Table
 
 from torchdt.atomic import atomic_write
@@ -25,6 +24,7 @@ from torchdt.experiment.tunable import build_problem, gather
 from torchdt.experiment.tune_settings import TuneSettings
 from torchdt.particles.transition import GRADIENTS
 from torchdt.prepare import prepare
+from torchdt.report.console import plain_console
 from torchdt.report.files import manifest, write_json
 from torchdt.tuning.objective import evaluate
 from torchdt.tuning.tracker import TrackerObjective
@@ -134,4 +134,4 @@ def _print(rows: list[tuple]) -> None:
         table.add_column(column.replace("_", " "))
     for row in rows:
         table.add_row(*(f"{v:.4g}" if isinstance(v, float) else str(v) for v in row))
-    Console().print(table)
+    plain_console().print(table)

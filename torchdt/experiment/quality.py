@@ -13,7 +13,6 @@ import torch
 from hydra import compose
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
 from scipy.stats import t as student
 from torch import Tensor
 
@@ -25,6 +24,7 @@ from torchdt.experiment.settings import TrackSettings, settings_of
 from torchdt.experiment.track import score_history
 from torchdt.history import TrackHistory
 from torchdt.metrics import Gospa, tgospa, track_delays, trajectories
+from torchdt.report.console import plain_console
 from torchdt.report.files import manifest, write_json
 from torchdt.report.quality import Quality, print_rows, write_rows
 from torchdt.scenario.recording import Recording
@@ -101,7 +101,7 @@ def run_quality(config: DictConfig) -> list[Quality]:
             log.exception("%s failed", scenario)
             rows.append(Quality(scenario, error=one_line(error)))
         write_rows(directory, rows)
-    print_rows(Console(), rows)
+    print_rows(plain_console(), rows)
     log.info("results in %s", directory)
     return rows
 

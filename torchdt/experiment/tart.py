@@ -8,7 +8,6 @@ from pathlib import Path
 import torch
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig
-from rich.console import Console
 
 from torchdt.detect.points import Points
 from torchdt.errors import require
@@ -20,6 +19,7 @@ from torchdt.experiment.progress import track_progress
 from torchdt.experiment.settings import TrackSettings, settings_of
 from torchdt.history import TrackHistory
 from torchdt.metrics.tart import SkyScore, sky_gospa, sky_score
+from torchdt.report.console import plain_console
 from torchdt.report.files import (
     manifest,
     metrics_summary,
@@ -86,7 +86,7 @@ def run_tart(config: DictConfig) -> dict[str, SkyScore]:
     write_json(directory / "tart.json", {method: score._asdict() for method, score in scores.items()})
     write_sky_csv(directory / "tart.csv", scores)
     count = f"{recording.num_steps} steps, each of {recording.num_snapshots:.0f} effective snapshots"
-    print_sky(Console(), scores, f"{recording.name}: {count}")
+    print_sky(plain_console(), scores, f"{recording.name}: {count}")
     log.info("results in %s", directory)
     return scores
 

@@ -8,7 +8,6 @@ from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from rich.console import Console
 
 from torchdt.experiment.build import build_recording, build_tracker
 from torchdt.experiment.claims import run_directory
@@ -22,6 +21,7 @@ from torchdt.experiment.settings import TrackSettings, settings_of
 from torchdt.history import TrackHistory
 from torchdt.metrics.gospa import Gospa
 from torchdt.protocol import Tracker
+from torchdt.report.console import plain_console
 from torchdt.report.files import (
     manifest,
     metrics_summary,
@@ -81,7 +81,9 @@ def run_track(config: DictConfig) -> float | None:
     if keep is not None:
         checkpoint.finish(value, keep)
     if is_alone():
-        print_summary(Console(), history, score, seconds, title=f"tracker {name}, {settings.scenario.name}")
+        print_summary(
+            plain_console(), history, score, seconds, title=f"tracker {name}, {settings.scenario.name}"
+        )
     quality = "no truth to score" if value is None else f"mean GOSPA {value:.3g}"
     log.info(
         "%d steps in %.1f s, %s, results in %s",

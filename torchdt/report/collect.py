@@ -83,8 +83,8 @@ def interval_figure(rows: Sequence[Row], metric: str) -> Figure:
         for index, (label, members) in enumerate(curves.items()):
             members = sorted(members, key=lambda row: _number(row, axis))
             places = [_number(row, axis) for row in members]
-            _errorbar(axes, places, members, metric, index, label)
-        axes.set_xlabel(axis)
+            _errorbar(axes, places, members, metric, index, _literal(label))
+        axes.set_xlabel(_literal(axis))
         values = [_number(row, axis) for row in rows]
         if 0 < 20 * min(values) < max(values):
             axes.set_xscale("log")
@@ -93,9 +93,12 @@ def interval_figure(rows: Sequence[Row], metric: str) -> Figure:
     else:
         _errorbar(axes, list(range(len(rows))), rows, metric, linestyle="none")
         axes.set_xticks(
-            range(len(rows)), [row.label.replace(", ", "\n") for row in rows], rotation=30, ha="right"
+            range(len(rows)),
+            [_literal(row.label).replace(", ", "\n") for row in rows],
+            rotation=30,
+            ha="right",
         )
-    axes.set_ylabel(metric)
+    axes.set_ylabel(_literal(metric))
     axes.grid(alpha=0.3)
     return figure
 
@@ -125,6 +128,11 @@ def _cell(mean: float, interval: float) -> str:
     if math.isnan(mean):
         return "-"
     return f"{mean:.4g}" if math.isnan(interval) else f"{mean:.4g} ± {interval:.2g}"
+
+
+def _literal(name: str) -> str:
+    """A name that Matplotlib takes for no formula."""
+    return name.replace("$", r"\$")
 
 
 def _is_number(value: object) -> bool:
