@@ -1,16 +1,13 @@
-import builtins
 import math
-import os
 import threading
 import time
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from types import SimpleNamespace
 
 import pytest
 import torch
 from oracles.line_array import BEARING, make_field, make_tracker, simulate
 
-from torchdt.chunks import bytes_per_sequence, free_memory_gb, plan, run_chunks
+from torchdt.chunks import bytes_per_sequence, plan, run_chunks
 from torchdt.detect.config import PursuitConfig
 from torchdt.errors import InputError
 from torchdt.field.stacked import StackedField
@@ -95,26 +92,6 @@ def test_a_detector_works_on_a_dictionary():
     )
     extra = bytes_per_sequence(fine, recording()) - bytes_per_sequence(coarse, recording())
     assert extra == 70 * 2 * 2 * 8 * 4  # cells, tones, complex, sensors, single precision
-
-
-def test_free_memory_of_the_machine(monkeypatch):
-    total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
-    cpu = torch.device("cpu")
-    assert 0 < free_memory_gb(cpu) <= total
-
-    def refuse(*args: object) -> None:
-        raise FileNotFoundError
-
-    monkeypatch.setattr(builtins, "open", refuse)
-    assert free_memory_gb(cpu) == total
-
-
-def test_free_memory_of_an_accelerator(monkeypatch):
-    """What is free, and what PyTorch keeps without using it."""
-    numbers = {"mem_get_info": (5e9, 9e9), "memory_reserved": 3e9, "memory_allocated": 1e9}
-    module = SimpleNamespace(**{name: lambda device, value=value: value for name, value in numbers.items()})
-    monkeypatch.setattr(torch, "get_device_module", lambda device: module)
-    assert free_memory_gb(torch.device("cuda")) == 7
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
@@ -79,22 +78,6 @@ def plan(
     number = max(math.ceil(batch_size / fit), busy)
     edges = [batch_size * i // number for i in range(number + 1)]
     return [slice(start, end) for start, end in itertools.pairwise(edges)]
-
-
-def free_memory_gb(device: torch.device) -> float:
-    """Memory that a device can still give, in 1e9 bytes; that of the machine for a CPU."""
-    module: Any = None if device.type == "cpu" else torch.get_device_module(device)
-    if hasattr(module, "mem_get_info"):
-        # What PyTorch keeps for later use is free to us.
-        kept = module.memory_reserved(device) - module.memory_allocated(device)
-        return (module.mem_get_info(device)[0] + kept) / 1e9
-    try:
-        with open("/proc/meminfo") as file:
-            entries = dict(line.split(":") for line in file)
-        # Unlike the pages that sysconf calls available, these include what caches would give back.
-        return int(entries["MemAvailable"].split()[0]) * 1024 / 1e9
-    except (OSError, KeyError):
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
 def run_chunks(

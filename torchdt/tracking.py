@@ -9,10 +9,11 @@ from typing import Any
 import torch
 from torch import Generator
 
-from torchdt.chunks import MOST_ON_CPU, bytes_per_sequence, free_memory_gb, plan, run_chunks
+from torchdt.chunks import MOST_ON_CPU, bytes_per_sequence, plan, run_chunks
 from torchdt.errors import require
 from torchdt.history import TrackHistory
 from torchdt.keeper import ChunkKeeper, Keeper
+from torchdt.memory import free_memory_gb
 from torchdt.prepare import Prepared
 from torchdt.protocol import Tracker
 from torchdt.random import RandomStreams

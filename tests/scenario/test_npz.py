@@ -1,5 +1,7 @@
+import io
 import logging
 import pickle
+import zipfile
 
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ import torch
 from oracles.arrays import changed
 
 from torchdt.errors import InputError
+from torchdt.scenario import npz
 from torchdt.scenario.npz import read_npz, write_npz
 from torchdt.scenario.recording import Recording, validate
 
@@ -271,6 +274,44 @@ def test_bad_file(path, file, changes, message):
     assert str(path) in str(caught.value)
 
 
+def with_header(path, shape, content=b""):
+    """A file whose snapshots have a header of complex numbers of some shape, whatever follows."""
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"shape": shape, "fortran_order": False, "descr": "<c16"})
+    np.savez(path, step_s=1.0)
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("snapshots.npy", header.getvalue() + content)
+
+
+def test_a_header_that_claims_more_than_there_is(path):
+    with_header(path, (600_000, 1000, 1, 1000), bytes(160))
+    with pytest.raises(
+        InputError, match="'snapshots': found a header of 9600000000000 bytes, expected 160, as"
+    ):
+        read_npz(path)
+
+
+def test_more_than_the_memory_holds_is_not_unpacked(path, monkeypatch):
+    """Zeros, of which a file of a few kilobytes holds a megabyte."""
+    with_header(path, (100, 5, 5, 25), bytes(1_000_000))
+    monkeypatch.setattr(npz, "free_memory_gb", lambda device: 0.0019)
+    with pytest.raises(
+        InputError, match="'snapshots': found 1000000 bytes, expected at most 950000, half of"
+    ):
+        read_npz(path)
+    monkeypatch.setattr(npz, "free_memory_gb", lambda device: 0.0021)
+    assert read_npz(path).num_steps == 100
+
+
+def test_a_single_array_is_not_read(tmp_path):
+    """Not even its header, which may claim anything."""
+    with (tmp_path / "a.npy").open("wb") as file:
+        header = {"shape": (600_000, 1000, 1, 1000), "fortran_order": False, "descr": "<c16"}
+        np.lib.format.write_array_header_1_0(file, header)
+    with pytest.raises(InputError, match=r"found a single array \(.npy\), expected a complete .npz"):
+        read_npz(tmp_path / "a.npy")
+
+
 @pytest.mark.skipif(np.dtype(np.clongdouble).itemsize == 16, reason="no such type on this platform")
 def test_more_than_double_precision(path):
     with pytest.raises(InputError, match=r"key 'snapshots': found complex\d+, expected double precision"):
@@ -312,7 +353,7 @@ def test_paths_that_are_no_npz(tmp_path):
     empty.touch()
     cases = {
         tmp_path / "absent.npz": "no such file",
-        tmp_path: "is a directory",
+        tmp_path: "a folder",
         single: "a single array",
         pickled: "a file of another kind",
         empty: "a file of another kind",

@@ -57,6 +57,26 @@ def test_npy_cut_short(write, samples, kept):
         open_npy(path)
 
 
+@pytest.mark.parametrize("shape", [(0,), (0, 3)])
+def test_wav_without_samples(tmp_path, shape):
+    wavfile.write(tmp_path / "a.wav", 1500, np.zeros(shape, "i2"))
+    with pytest.raises(InputError, match=r"a.wav': no samples, expected a complete .wav"):
+        open_wav(tmp_path / "a.wav")
+
+
+def test_wav_without_a_rate(tmp_path, samples):
+    wavfile.write(tmp_path / "a.wav", 0, samples.T)
+    with pytest.raises(InputError, match=r"a.wav': a sampling rate of 0.0 Hz, expected a complete .wav"):
+        open_wav(tmp_path / "a.wav")
+
+
+@pytest.mark.parametrize(("shape", "found"), [((3, 0), "no samples"), ((0, 3), "no channels")])
+def test_npy_without_content(tmp_path, shape, found):
+    np.save(tmp_path / "a.npy", np.zeros(shape))
+    with pytest.raises(InputError, match=f"a.npy': {found}, expected a complete .npy"):
+        open_npy(tmp_path / "a.npy")
+
+
 def wav_of(bits, channels=1, tag=1):
     frame = channels * bits // 8
     form = struct.pack("<4sIHHIIHH", b"fmt ", 16, tag, channels, 1500, 1500 * frame, frame, bits)

@@ -43,6 +43,13 @@ def test_table_of_minutes_and_ranges(read):
     np.testing.assert_allclose(truth[:, 0], expected, equal_nan=True)
 
 
+def test_table_of_a_spreadsheet(read):
+    """It begins with a byte-order mark."""
+    times = (5.0, 20.0)
+    np.testing.assert_array_equal(read("\ufeff" + PAIR, times), read(PAIR, times))
+    np.testing.assert_array_equal(read("\ufeff" + TOW, (1830.0,), depth_m=58.0)[0, 0], [4150.0, 58.0])
+
+
 def test_one_coordinate(read):
     truth = read("time_s,a_bearing\n0,-10\n2,10\n", (0.5, 1.0), names=["bearing"])
     np.testing.assert_allclose(truth, [[[-5.0]], [[0.0]]])
@@ -82,5 +89,5 @@ def test_ranges_for_other_coordinates(read):
 
 
 def test_no_such_file(tmp_path):
-    with pytest.raises(InputError, match=r"'data.truth': found '.*nowhere.csv': .*No such file"):
+    with pytest.raises(InputError, match=r"'data.truth': found '.*nowhere.csv': no such file"):
         read_truth(tmp_path / "nowhere.csv", NAMES, torch.zeros(1))

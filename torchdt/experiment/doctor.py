@@ -24,11 +24,11 @@ from torch import Tensor
 
 import torchdt
 from torchdt.atomic import atomic_write
-from torchdt.chunks import free_memory_gb
 from torchdt.experiment.build import build_recording, build_tracker
 from torchdt.experiment.score import score_history
 from torchdt.experiment.settings import TrackSettings, settings_of
 from torchdt.likelihood import log_likelihood
+from torchdt.memory import free_memory_gb
 from torchdt.random import RandomStreams
 from torchdt.report.files import PACKAGES
 from torchdt.tracker import DirectTracker

@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from torchdt.checkpoint import flatten, load_checkpoint, save_checkpoint
+from torchdt.errors import InputError
 from torchdt.experiment.settings import TrackSettings
+from torchdt.files import regular_file
 from torchdt.keeper import Keeper
 
 NEUTRAL = ("logging", "threads", "workers", "memory_gb", "checkpoint_s")
@@ -31,9 +33,9 @@ def fingerprint_of(settings: TrackSettings, files: Iterable[str] = ()) -> dict[s
 
 def _digest(path: str) -> str:
     try:
-        with Path(path).open("rb") as file:
+        with regular_file(path, "a file").open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
+    except (OSError, InputError):
         return "no file"  # of which whoever reads it will complain
 
 

@@ -6,6 +6,7 @@ what each must be.
 """
 
 import logging
+import math
 import os
 import zipfile
 import zlib
@@ -15,16 +16,20 @@ from typing import BinaryIO
 
 import numpy as np
 import torch
+from numpy.lib.format import MAGIC_PREFIX, read_array_header_1_0, read_array_header_2_0, read_magic
 from numpy.lib.npyio import NpzFile
 from torch import Tensor
 
 from torchdt.atomic import atomic_write
-from torchdt.errors import InputError
+from torchdt.errors import InputError, require
+from torchdt.files import regular_file
+from torchdt.memory import free_memory_gb
 from torchdt.scenario.recording import Recording, validate
 
 log = logging.getLogger(__name__)
 
 EXPECTED = "a complete .npz file"
+HEADERS = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}
 KEYS = tuple(field.name for field in fields(Recording) if field.name != "name")
 
 
@@ -77,26 +82,32 @@ def _plain(value: Tensor | float) -> np.ndarray | float:
 def open_file(path: Path) -> BinaryIO:
     """Open a file to read; InputError where it cannot be."""
     try:
-        return path.open("rb")
+        return regular_file(path, EXPECTED).open("rb")
     except OSError as error:
         raise InputError.of_path(path, (error.strerror or str(error)).lower(), EXPECTED) from error
 
 
 def open_archive(path: Path, file: BinaryIO) -> NpzFile:
     """The `.npz` archive in an open file; InputError where there is none."""
+    is_array = file.read(len(MAGIC_PREFIX)) == MAGIC_PREFIX
+    file.seek(0)
+    if is_array:
+        raise InputError.of_path(path, "a single array (.npy)", EXPECTED)
     try:
         archive = np.load(file, allow_pickle=False)
     except (ValueError, EOFError, OSError, NotImplementedError, zipfile.BadZipFile) as error:
         raise InputError.of_path(path, "a file of another kind, or part of one", EXPECTED) from error
-    if not isinstance(archive, NpzFile):
-        raise InputError.of_path(path, "a single array (.npy)", EXPECTED)
+    assert isinstance(archive, NpzFile)
     return archive
 
 
 def read_tensor(key: str, archive: NpzFile) -> Tensor:
     """A numeric array of an archive, in its precision; InputError where it is none."""
     try:
+        check_size(key, archive)
         array = archive[key]
+    except InputError:
+        raise
     except (ValueError, EOFError, OSError, RuntimeError, zlib.error, zipfile.BadZipFile) as error:
         raise InputError.of_key(key, f"an array that cannot be read ({error})", "a numeric array") from error
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "biufc":
@@ -107,3 +118,23 @@ def read_tensor(key: str, archive: NpzFile) -> Tensor:
     # torch has only this machine's byte order, and few unsigned types.
     dtype = np.dtype("i8") if array.dtype.kind == "u" else array.dtype.newbyteorder("=")
     return torch.from_numpy(np.asarray(array, dtype=dtype, order="C"))
+
+
+def check_size(key: str, archive: NpzFile) -> None:
+    """Look at an array's header before anything of its size is made.
+
+    Raises:
+        InputError: where it claims more than the archive holds, or more than half of the memory that is free.
+    """
+    assert archive.zip is not None
+    member = f"{key}.npy" if f"{key}.npy" in archive.zip.namelist() else key
+    stored = archive.zip.getinfo(member).file_size
+    with archive.zip.open(member) as file:
+        read_header = HEADERS.get(read_magic(file))
+        if read_header is None:
+            return  # of a structured array, which is refused by its type
+        shape, _, dtype = read_header(file)
+        held = stored - file.tell()
+    size, most = math.prod(shape) * dtype.itemsize, int(0.5e9 * free_memory_gb(torch.device("cpu")))
+    require(dtype.hasobject or size <= held, key, f"a header of {size} bytes", f"{held}, as in the file")
+    require(size <= most, key, f"{size} bytes", f"at most {most}, half of the memory that is free")

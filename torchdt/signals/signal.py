@@ -1,5 +1,6 @@
 """The signals of an array on a disk, read piece by piece."""
 
+import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -34,3 +35,16 @@ class Signal(NamedTuple):
 def unreadable(path: object, found: object, expected: object) -> InputError:
     """The error of a file that cannot be read, under the setting that names it."""
     return InputError.of_key("data.path", f"'{path}': {found}", expected)
+
+
+def checked(path: object, signal: Signal, expected: object) -> Signal:
+    """A signal of one or more channels and samples at a positive rate; InputError where it is not."""
+    rate = signal.sample_rate
+    for holds, found in (
+        (signal.num_channels > 0, "no channels"),
+        (signal.num_samples > 0, "no samples"),
+        (rate is None or 0 < rate < math.inf, f"a sampling rate of {rate} Hz"),
+    ):
+        if not holds:
+            raise unreadable(path, found, expected)
+    return signal

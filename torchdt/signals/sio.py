@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from torchdt.files import regular_file
 from torchdt.signals.signal import Signal, unreadable
 
 EXPECTED = "a complete SIO file"
@@ -34,7 +35,7 @@ def open_sio(path: Path) -> Signal:
         InputError: no such file, not an SIO file, a header that contradicts itself, or a file cut short.
     """
     try:
-        with path.open("rb") as file:
+        with regular_file(path, EXPECTED, unreadable).open("rb") as file:
             head = file.read(HEADER_BYTES)
         size = path.stat().st_size
     except OSError as error:

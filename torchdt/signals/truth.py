@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchdt.errors import InputError, require
+from torchdt.files import regular_file
+
+TABLE = "a table of numbers (.csv)"
 
 
 def read_truth(path: Path, coordinates: Sequence[str], times: Tensor, depth_m: float | None = None) -> Tensor:
@@ -46,15 +49,21 @@ def read_truth(path: Path, coordinates: Sequence[str], times: Tensor, depth_m: f
 
 
 def _table(path: Path) -> tuple[list[str], NDArray]:
+    path = regular_file(path, TABLE, _unreadable)
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        # Spreadsheets begin a file with a byte-order mark.
+        with path.open(newline="", encoding="utf-8-sig") as file:
             header, *rows = [[cell.strip() for cell in row] for row in csv.reader(file) if row]
             values = [[float(cell or "nan") for cell in row] for row in rows]
     except (OSError, ValueError) as error:
-        raise InputError.of_key("data.truth", f"'{path}': {error}", "a table of numbers (.csv)") from error
+        raise _unreadable(path, error, TABLE) from error
     wide = all(len(row) == len(header) for row in values)
     require(wide, "data.truth", f"'{path}': rows of other lengths than the first", "one cell per column")
     return header, np.array(values).reshape(len(values), len(header))
+
+
+def _unreadable(path: object, found: object, expected: object) -> InputError:
+    return InputError.of_key("data.truth", f"'{path}': {found}", expected)
 
 
 def _range_table(
