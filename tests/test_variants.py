@@ -64,7 +64,7 @@ def test_what_a_variant_does_not_name_is_as_configured():
         ({"power_shape": True}, r"'variants\[1\].power_shape': found True, expected a number"),
         ({"power_shape": None}, r"'variants\[1\].power_shape': found None, expected a number"),
         ({"driving_variance": 1e-3}, r"'variants\[1\].driving_variance': found 0.001, expected a list"),
-        ({"driving_variance": [0.0]}, r"'variants\[1\].driving_variance': found \[0.0\], expected positive"),
+        ({"driving_variance": [0.0]}, r"'variants\[1\].driving_variance': found \[0.0\], expected a list"),
         ({"slots": 3}, r"'variants\[1\].slots': found an unknown key, expected one of \['birth_mean'"),
         ("survival", r"'variants\[1\]': found survival, expected values by name"),
     ],

@@ -2,20 +2,35 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 from torch import Tensor
 
-from torchdt.errors import require
 from torchdt.model.gamma_chain import LEAST_SHAPE
 from torchdt.particles.transition import GRADIENTS
+from torchdt.ranges import (
+    BirthMean,
+    Checked,
+    Count,
+    InnerProbability,
+    OneOf,
+    Passes,
+    Positive,
+    PositiveShare,
+    Power,
+    Range,
+    Share,
+)
 
 SCHEDULES = ("sequential", "flooding")
 PROPOSALS = ("adapted", "prior")
 EVIDENCES = ("sampled", "gaussian")
+Shape = Annotated[float, Range(f"a finite number of at least {LEAST_SHAPE:g}", low=LEAST_SHAPE)]
+"""Of the Gamma transitions whose mean the support points keep."""
 
 
 @dataclass
-class ObjectConfig:
+class ObjectConfig(Checked):
     """What every tracker shares: numbers of the model of potential objects, and their particles.
 
     Attributes:
@@ -30,33 +45,17 @@ class ObjectConfig:
         resample_below: resample where the effective sample size is below this share of the particles.
     """
 
-    slots: int = 16
-    particles: int = 1000
-    survival: float = 0.95
-    birth_mean: float = 1e-4
-    declare: float = 0.5
-    prune: float = 1e-2
-    driving_variance: list[float] | None = None
-    roughening: float = 0.1
-    resample_below: float = 0.5
+    KEY: ClassVar[str] = "tracker"
 
-    def __post_init__(self) -> None:
-        for name in ("slots", "particles"):
-            self._require(name, getattr(self, name) >= 1, "a positive integer")
-        self._require("birth_mean", 0 < self.birth_mean < math.inf, "a positive number")
-        for name in ("survival", "declare", "prune"):
-            self._require(name, 0 < getattr(self, name) < 1, "a probability strictly between 0 and 1")
-        for name in ("roughening", "resample_below"):
-            self._require(name, 0 <= getattr(self, name) <= 1, "a number from 0 to 1")
-        self._check_list("driving_variance")
-
-    def _require(self, name: str, holds: bool, expected: str) -> None:
-        require(holds, f"tracker.{name}", getattr(self, name), expected)
-
-    def _check_list(self, name: str, below: float = math.inf) -> None:
-        values = getattr(self, name)
-        holds = values is None or (len(values) > 0 and all(0 < v < below for v in values))
-        self._require(name, holds, f"positive numbers below {below}, or null")
+    slots: Count = 16
+    particles: Count = 1000
+    survival: InnerProbability = 0.95
+    birth_mean: BirthMean = 1e-4
+    declare: InnerProbability = 0.5
+    prune: InnerProbability = 1e-2
+    driving_variance: list[Positive] | None = None
+    roughening: Share = 0.1
+    resample_below: Share = 0.5
 
 
 @dataclass
@@ -87,42 +86,24 @@ class TrackerConfig(ObjectConfig):
         noise_max: upper limit of the uniform noise prior in squared data units; None takes it from the data.
     """
 
-    power_points: int = 16
-    noise_points: int = 64
-    power_shape: float = 1e4
-    noise_shape: float = 1e2
-    births: int = 10
-    sweeps: int = 2
-    schedule: str = "sequential"
-    proposal: str = "adapted"
-    rounds: int = 6
-    round_size: int = 128
-    likelihood_power: float = 1.0
-    effective_count: float | None = None
-    mismatch_share: list[float] | None = None
-    evidence: str = "sampled"
-    evidence_samples: int = 64
-    gradient: str = "score"
-    power_max: float | None = None
-    noise_max: float | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        positive = ("power_points", "noise_points", "births", "sweeps", "rounds", "round_size")
-        for name in (*positive, "evidence_samples"):
-            self._require(name, getattr(self, name) >= 1, "a positive integer")
-        for name in ("power_shape", "noise_shape"):
-            expected = f"a finite number of at least {LEAST_SHAPE:g}"
-            self._require(name, LEAST_SHAPE <= getattr(self, name) < math.inf, expected)
-        for name in ("power_max", "noise_max", "effective_count"):
-            limit = getattr(self, name)
-            self._require(name, limit is None or 0 < limit < math.inf, "a positive number or null")
-        self._require("likelihood_power", 0 < self.likelihood_power <= 1, "a number above 0, up to 1")
-        self._check_list("mismatch_share", below=1.0)
-        self._require("evidence", self.evidence in EVIDENCES, " or ".join(EVIDENCES))
-        self._require("gradient", self.gradient in GRADIENTS, " or ".join(GRADIENTS))
-        self._require("proposal", self.proposal in PROPOSALS, " or ".join(PROPOSALS))
-        self._require("schedule", self.schedule in SCHEDULES, " or ".join(SCHEDULES))
+    power_points: Count = 16
+    noise_points: Count = 64
+    power_shape: Shape = 1e4
+    noise_shape: Shape = 1e2
+    births: Count = 10
+    sweeps: Passes = 2
+    schedule: Annotated[str, OneOf(SCHEDULES)] = "sequential"
+    proposal: Annotated[str, OneOf(PROPOSALS)] = "adapted"
+    rounds: Passes = 6
+    round_size: Count = 128
+    likelihood_power: PositiveShare = 1.0
+    effective_count: Positive | None = None
+    mismatch_share: list[InnerProbability] | None = None
+    evidence: Annotated[str, OneOf(EVIDENCES)] = "sampled"
+    evidence_samples: Count = 64
+    gradient: Annotated[str, OneOf(GRADIENTS)] = "score"
+    power_max: Power | None = None
+    noise_max: Power | None = None
 
     def pick_threshold(self, birth_log_odds: Tensor) -> Tensor:
         """Log-likelihood ratio that can just lift a new object over the pruning threshold.

@@ -32,6 +32,8 @@ def fails(outcome, *words):
         ("tracker.particles=many", ("tracker.particles", "'many'", "Integer")),
         ("scenario.num_steps=2.5", ("scenario.num_steps", "'2.5'", "Integer")),
         ("scenario.snr_db=loud", ("scenario.snr_db", "'loud'", "Float")),
+        (f"{FIRST}.silences=[3]", (f"{FIRST}.silences", "int is not a ListConfig")),
+        (f"{FIRST}.silences=[[0.5,1.5]]", (f"{FIRST}.silences", "0.5 (float)", "'int'")),
     ],
 )
 def test_what_the_schema_refuses(launch, override, words):
@@ -103,10 +105,9 @@ def test_value_out_of_range(launch, key, value, expected):
         (f"{PATH}.times_s=[0]", ("positions'", "found [[-40], [0]]", "1 positions")),
         (f"{PATH}.times_s=[0,0]", ("times_s'", "found [0.0, 0.0]", "increasing times")),
         (f"{PATH}.positions=[[1],[2,3]]", (f"{PATH}.positions'", "found [[1], [2, 3]]", "1 coordinates")),
-        ("scenario.coordinates.0.low=80", ("bearing", "found low 80.0, high 70.0", "expected low < high")),
-        ("scenario.coordinates.0.cell=0", ("bearing", "found cell 0.0", "expected")),
-        ("scenario.coordinates.0.rate_low=2", ("found rate_low 2.0", "expected rate_low < rate_high")),
-        ("scenario.coordinates.0.driving_variance=0", ("found driving_variance 0.0", "expected > 0")),
+        ("scenario.coordinates.0.low=80", ("coordinates.bearing.low'", "found 80.0", "below high, 70.0")),
+        ("scenario.coordinates.0.cell=0", ("bearing.cell'", "found 0.0", "a positive number")),
+        ("scenario.coordinates.0.cell=1e-12", ("bearing.cell'", "found 1e-12", "at least 1.4e-05")),
         (f"{MISMATCH}.tilt_deg=[0,1]", (f"'{MISMATCH}'", "found a mismatch", "no environment to vary")),
     ],
 )
@@ -137,7 +138,6 @@ def test_field_that_cannot_be_built(launch, override, words):
         ["+tracker.colour=red"],
         ["field=swellex96"],  # two coordinates for a scenario of one
         [f"{PATH}.positions=[[a],[b]]"],
-        [f"{FIRST}.silences=[3]"],
         [f"{FIRST}.power_db=nan"],
         [f"{FIRST}.frozen_step=-5"],
         ["device=tpu"],

@@ -127,6 +127,16 @@ def test_a_directory_that_cannot_be_made(tmp_path, mode):
     assert (status, err) == (1, f"cannot write {place}: Not a directory\n")
 
 
+@pytest.mark.parametrize(("name", "key"), [("track", "scenario.name"), ("quality", "name")])
+def test_a_name_that_leads_elsewhere_makes_no_folder(tmp_path, monkeypatch, name, key):
+    folder = tmp_path / "a" / "b" / "c"
+    folder.mkdir(parents=True)
+    monkeypatch.chdir(folder)
+    status, _, err = call(load(name), f"{key}=../../../x")
+    assert (status, err.partition(",")[0]) == (1, f"key '{key}': found ../../../x")
+    assert [path.name for path in tmp_path.rglob("*")] == ["a", "b", "c"]
+
+
 def test_a_disk_that_is_full_from_the_start(stop, tmp_path):
     with full_disk():
         status, err = stop(AssertionError("started"))

@@ -1,3 +1,6 @@
+import math
+from dataclasses import replace
+
 import pytest
 import torch
 from oracles.line_array import make_field
@@ -94,13 +97,21 @@ def test_region_without_room_is_refused():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"low": 1100.0}, "found low 1100.0, high 1100.0, expected low < high"),
-        ({"rate_low": 5.0}, "found rate_low 5.0, rate_high 4.0, expected rate_low < rate_high"),
-        ({"cell": 0.0}, "found cell 0.0, expected"),
-        ({"cell": 101.0}, "found cell 101.0, expected at most"),
-        ({"driving_variance": 0.0}, "found driving_variance 0.0, expected > 0"),
+        ({"low": 1100.0}, "low': found 1100.0, expected a number below high, 1100.0"),
+        ({"low": -math.inf}, "low': found -inf, expected a finite number"),
+        ({"rate_low": 5.0}, "rate_low': found 5.0, expected a number below rate_high, 4.0"),
+        ({"cell": 0.0}, "cell': found 0.0, expected a positive number"),
+        ({"cell": 101.0}, "cell': found 101.0, expected at most the region's width, 100.0"),
+        ({"cell": 1e-12}, "cell': found 1e-12, expected at least 1e-05, a region of fewer cells"),
+        ({"driving_variance": 0.0}, "driving_variance': found 0.0, expected a positive number"),
     ],
 )
 def test_wrong_coordinates_are_named(change, message):
-    with pytest.raises(ValueError, match=f"coordinate range: {message}"):
+    with pytest.raises(InputError, match=f"key 'scenario.coordinates.range.{message}"):
         Coordinate(**(RANGE.__dict__ | change))
+
+
+def test_cells_of_all_coordinates_are_limited():
+    fine = Coordinate("range", "m", 0.0, 1.0, 1e-4, -1.0, 1.0, 1.0)
+    with pytest.raises(InputError, match="found 100000000 cells, expected at most 10000000"):
+        Region([fine, replace(fine, name="depth")])

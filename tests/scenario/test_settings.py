@@ -35,6 +35,11 @@ def refuse(make, key: str, found: object, expected: str) -> None:
         ("snr_db", math.inf, "a finite number"),
         ("gospa_cutoff", 0.0, "a positive number"),
         ("gospa_order", 0.5, "a number from 1 up"),
+        ("gospa_order", 1e30, "a number from 1 up, at most 100"),
+        ("gospa_order", 50.0, "an order whose power of the cutoff, 200, is no overflow"),
+        ("step_s", 1e300, "a positive number, at most 1e+09"),
+        ("name", "../../x", "letters, digits, '_' and '-', and '.' inside"),
+        ("name", "a/b", "letters, digits, '_' and '-', and '.' inside"),
         ("phase_step_deg", -1.0, "a number from 0 up"),
         ("coordinates", [], "at least one coordinate"),
         ("amplitudes", "loud", "gaussian or constant_modulus"),
@@ -51,7 +56,9 @@ def test_scenario(name, value, expected):
         ([], [], "positions", "0 positions, one for each time"),
         ([0.0, 0.0], [[0.0], [1.0]], "times_s", "increasing times"),
         ([1.0, 0.0], [[0.0], [1.0]], "times_s", "increasing times"),
-        ([0.0, math.nan], [[0.0], [1.0]], "times_s", "increasing times"),
+        ([0.0, math.nan], [[0.0], [1.0]], "times_s", "a list, each entry a finite number"),
+        ([0.0], [[math.inf]], "positions", "a list, each entry a list, each entry a finite number"),
+        ([0.0], [0.0], "positions", "a list, each entry a list"),
     ],
 )
 def test_paths(times, positions, key, expected):
@@ -78,7 +85,11 @@ def test_positions_have_the_coordinates_of_the_region():
         ({"birth": 5, "death": 5}, "death", 5, "a step after birth 5, or null"),
         ({"silences": [[3]]}, "silences", [[3]], "pairs [first, last]"),
         ({"silences": [[3, 2]]}, "silences", [[3, 2]], "pairs [first, last]"),
-        ({"silences": [[1, 2], [-1, 2]]}, "silences", [[1, 2], [-1, 2]], "pairs [first, last]"),
+        *(
+            ({"silences": pairs}, "silences", pairs, "a list, each entry a list, each entry a step from 0 up")
+            for pairs in ([[1, 2], [-1, 2]], [[0.5, 1.5]], [["a", "b"]])
+        ),
+        ({"power_db": 1e4}, "power_db", 1e4, "a finite number, at most 1000"),
     ],
 )
 def test_sources(settings, key, found, expected):
@@ -105,8 +116,13 @@ def test_a_source_needs_a_known_path():
         *((name, 0.0, "a positive number") for name in ("power_shape", "noise_shape")),
         *((name, math.inf, "a positive number") for name in ("power_shape", "noise_shape")),
         *(
-            ("power_db", value, "[lowest, highest], finite numbers")
-            for value in ([1.0], [3.0, -3.0], [-math.inf, 0.0], ["a", "b"])
+            ("power_db", value, "[lowest, highest]" if finite else "a list, each entry a finite number")
+            for value, finite in (
+                ([1.0], True),
+                ([3.0, -3.0], True),
+                ([-math.inf, 0.0], False),
+                (["a", "b"], False),
+            )
         ),
         ("max_objects", 0, "a positive integer or null"),
     ],
@@ -143,7 +159,7 @@ def test_a_scenario_file_may_hold_a_population():
         ({"eof_scale": -1.0}, "eof_scale", -1.0, "a number from 0 up"),
         ({"tilt_deg": [2.0, 1.0]}, "tilt_deg", [2.0, 1.0], "[smallest, largest], both from 0 up"),
         ({"water_depth_m": [1.0]}, "water_depth_m", [1.0], "[smallest, largest], both from 0 up"),
-        ({"tilt_deg": [-1.0, 1.0]}, "tilt_deg", [-1.0, 1.0], "[smallest, largest], both from 0 up"),
+        ({"tilt_deg": [-1.0, 1.0]}, "tilt_deg", [-1.0, 1.0], "a list, each entry a number from 0 up"),
     ],
 )
 def test_mismatch(settings, key, found, expected):
@@ -164,14 +180,15 @@ def test_whether_environments_match(settings, matched):
 
 
 COUNTS = ("slots", "particles", "power_points", "noise_points", "births", "sweeps", "rounds", "round_size")
+SHAPES = ("power_shape", "noise_shape")
 
 
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
     [
         *((name, 0, "a positive integer") for name in COUNTS),
-        *((name, 0.0, "a positive number") for name in ("power_shape", "noise_shape", "birth_mean")),
-        *((name, math.inf, "a positive number") for name in ("power_shape", "noise_shape", "birth_mean")),
+        *((name, bad, "a finite number of at least 1") for name in SHAPES for bad in (0.0, 0.99, math.inf)),
+        *(("birth_mean", bad, "a positive number") for bad in (0.0, math.inf)),
         *((name, 0.0, "a positive number or null") for name in ("power_max", "noise_max")),
         *((name, 1.0, "a probability strictly between 0 and 1") for name in ("survival", "declare", "prune")),
         *((name, 1.5, "a number from 0 to 1") for name in ("roughening", "resample_below")),

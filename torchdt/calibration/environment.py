@@ -2,7 +2,7 @@
 
 import logging
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from scipy.stats import chi2
@@ -11,7 +11,6 @@ from torch import Generator, Tensor
 from torchdt.calibration.focalise import focalise
 from torchdt.calibration.share import mismatch_share
 from torchdt.detect.dictionary import build_dictionary
-from torchdt.errors import require
 from torchdt.field.family import WaveguideFamily
 from torchdt.field.waveguide import NormalModeField
 from torchdt.model.gamma_chain import uniform_prior
@@ -19,13 +18,14 @@ from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
 from torchdt.proposal.newborn import Picks, search
+from torchdt.ranges import Checked, Count, InnerProbability, Passes, Positive, Steps
 from torchdt.state import Noise
 
 log = logging.getLogger(__name__)
 
 
 @dataclass
-class CalibrationConfig:
+class CalibrationConfig(Checked):
     """How the environment is fitted.
 
     Attributes:
@@ -40,26 +40,18 @@ class CalibrationConfig:
         tilt_std_deg, water_depth_std_m: prior standard deviations of array tilt and water depth.
     """
 
-    enabled: bool = False
-    steps: int = 24
-    sources: int = 3
-    passes: int = 2
-    threshold: float = 14.5
-    share: bool = True
-    false_alarm: float = 1e-5
-    eof_std: float = 1.0
-    tilt_std_deg: float = 1.0
-    water_depth_std_m: float = 1.0
+    KEY: ClassVar[str] = "calibration"
 
-    def __post_init__(self) -> None:
-        for name in ("steps", "sources", "passes"):
-            require(
-                getattr(self, name) >= 1, f"calibration.{name}", getattr(self, name), "a positive integer"
-            )
-        for name in ("eof_std", "tilt_std_deg", "water_depth_std_m"):
-            require(getattr(self, name) > 0, f"calibration.{name}", getattr(self, name), "a positive number")
-        require(self.threshold > 0, "calibration.threshold", self.threshold, "a positive number")
-        require(0 < self.false_alarm < 1, "calibration.false_alarm", self.false_alarm, "a probability")
+    enabled: bool = True
+    steps: Steps = 24
+    sources: Count = 3
+    passes: Passes = 2
+    threshold: Positive = 14.5
+    share: bool = True
+    false_alarm: InnerProbability = 1e-5
+    eof_std: Positive = 1.0
+    tilt_std_deg: Positive = 1.0
+    water_depth_std_m: Positive = 1.0
 
 
 class Calibration(NamedTuple):

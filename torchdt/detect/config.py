@@ -1,13 +1,14 @@
 """Settings of the detectors, checked once when they are made."""
 
-import math
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 from torchdt.errors import require
+from torchdt.ranges import Checked, Count, Nats, Range
 
 
 @dataclass
-class DetectorConfig:
+class DetectorConfig(Checked):
     """What every detector shares.
 
     Attributes:
@@ -18,18 +19,12 @@ class DetectorConfig:
         refine: look for the peak between the points of the grid.
     """
 
-    points: int = 10
-    separation: float = 2.0
-    threshold: float = 12.0
+    KEY: ClassVar[str] = "tracker.detector"
+
+    points: Count = 10
+    separation: Annotated[float, Range("a number from 1 up", low=1, most=1e6)] = 2.0
+    threshold: Nats = 12.0
     refine: bool = True
-
-    def __post_init__(self) -> None:
-        self._require("points", self.points >= 1, "a positive integer")
-        self._require("separation", 1 <= self.separation < math.inf, "a number from 1 up")
-        self._require("threshold", 0 <= self.threshold < math.inf, "a number from 0 up")
-
-    def _require(self, name: str, holds: bool, expected: str) -> None:
-        require(holds, f"tracker.detector.{name}", getattr(self, name), expected)
 
 
 @dataclass
@@ -41,12 +36,7 @@ class PursuitConfig(DetectorConfig):
             `threshold`: close sources come apart only when both are picked and moved together.
     """
 
-    pick_threshold: float = 9.3
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        positive = 0 <= self.pick_threshold < math.inf
-        self._require("pick_threshold", positive, "a number from 0 up")
+    pick_threshold: Nats = 9.3
 
 
 @dataclass
@@ -60,17 +50,14 @@ class SblConfig(DetectorConfig):
         prune: columns whose power is below this share of the largest one are left out from then on.
     """
 
-    sources: int = 3
-    min_iterations: int = 15
-    max_iterations: int = 300
-    tolerance: float = 1e-4
-    prune: float = 1e-6
+    sources: Count = 3
+    min_iterations: Count = 15
+    max_iterations: Count = 300
+    tolerance: Annotated[float, Range("a number strictly between 0 and 1", 0, 1, True, True)] = 1e-4
+    prune: Annotated[float, Range("a number from 0 up to below 1", 0, 1, open_high=True)] = 1e-6
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._require("sources", self.sources >= 1, "a positive integer")
-        self._require("min_iterations", self.min_iterations >= 1, "a positive integer")
         enough = self.max_iterations >= self.min_iterations
-        self._require("max_iterations", enough, f"at least min_iterations, {self.min_iterations}")
-        self._require("tolerance", 0 < self.tolerance < 1, "a number strictly between 0 and 1")
-        self._require("prune", 0 <= self.prune < 1, "a number from 0 up to below 1")
+        expected = f"at least min_iterations, {self.min_iterations}"
+        require(enough, f"{self.KEY}.max_iterations", self.max_iterations, expected)

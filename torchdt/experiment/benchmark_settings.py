@@ -3,18 +3,20 @@
 import dataclasses
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Annotated, ClassVar
 
 from hydra.core.config_store import ConfigStore
 
 from torchdt.errors import require
 from torchdt.experiment.settings import TrackSettings
+from torchdt.ranges import Checked, Count, Name, Passes, Range, Steps, Threads
 
 PARTS = ("update", "step", "scaling", "memory", "peers", "sbl", "points")
 """What can be measured."""
 
 
 @dataclass
-class ProblemSettings:
+class ProblemSettings(Checked):
     """Size of random problems for the update; parts `update` and `scaling`.
 
     Attributes:
@@ -25,38 +27,39 @@ class ProblemSettings:
         batch: sequences in part `update`, and of tracking in part `step`; part `scaling` starts from one.
     """
 
-    slots: int = 16
-    particles: int = 1000
-    tones: int = 7
-    sensors: int = 21
-    snapshots: int = 3
-    sweeps: int = 3
-    batch: int = 16
+    KEY: ClassVar[str] = "problem"
 
-    def __post_init__(self) -> None:
-        for key, value in vars(self).items():
-            require(value >= 1, f"problem.{key}", value, "a positive integer")
+    slots: Count = 16
+    particles: Count = 1000
+    tones: Count = 7
+    sensors: Count = 21
+    snapshots: Count = 3
+    sweeps: Passes = 3
+    batch: Count = 16
 
 
 @dataclass
-class ScalingSettings:
+class ScalingSettings(Checked):
     """Sizes of part `scaling`, each replacing that of the problem; `steps` are those of whole tracking."""
 
-    slots: list[int] = dataclasses.field(default_factory=lambda: [2, 4, 8, 16, 32])
-    particles: list[int] = dataclasses.field(default_factory=lambda: [250, 500, 1000, 2000, 4000, 8000])
-    tones: list[int] = dataclasses.field(default_factory=lambda: [1, 2, 4, 7, 14, 28])
-    sensors: list[int] = dataclasses.field(default_factory=lambda: [8, 16, 32, 64, 96])
-    batch: list[int] = dataclasses.field(default_factory=lambda: [1, 2, 4, 8, 16, 32])
-    steps: list[int] = dataclasses.field(default_factory=lambda: [10, 20, 40, 80])
+    KEY: ClassVar[str] = "scaling"
+
+    slots: list[Count] = dataclasses.field(default_factory=lambda: [2, 4, 8, 16, 32])
+    particles: list[Count] = dataclasses.field(default_factory=lambda: [250, 500, 1000, 2000, 4000, 8000])
+    tones: list[Count] = dataclasses.field(default_factory=lambda: [1, 2, 4, 7, 14, 28])
+    sensors: list[Count] = dataclasses.field(default_factory=lambda: [8, 16, 32, 64, 96])
+    batch: list[Count] = dataclasses.field(default_factory=lambda: [1, 2, 4, 8, 16, 32])
+    steps: list[Count] = dataclasses.field(default_factory=lambda: [10, 20, 40, 80])
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for key, sizes in vars(self).items():
-            rising = len(sizes) >= 3 and sizes[0] >= 1 and all(a < b for a, b in pairwise(sizes))
+            rising = len(sizes) >= 3 and all(a < b for a, b in pairwise(sizes))
             require(rising, f"scaling.{key}", sizes, "three or more rising positive integers")
 
 
 @dataclass
-class BenchmarkSettings:
+class BenchmarkSettings(Checked):
     """Settings of `experiments/benchmark.py`.
 
     Attributes:
@@ -80,33 +83,30 @@ class BenchmarkSettings:
         threads: of PyTorch's linear algebra; None leaves them to PyTorch.
     """
 
-    name: str = "default"
+    name: Name = "default"
     parts: list[str] = dataclasses.field(default_factory=list)
-    repeats: int = 3
+    repeats: Passes = 3
     overrides: list[str] = dataclasses.field(default_factory=list)
     direct: list[str] = dataclasses.field(default_factory=list)
     detector: list[str] = dataclasses.field(default_factory=list)
     problem: ProblemSettings = dataclasses.field(default_factory=ProblemSettings)
     scaling: ScalingSettings = dataclasses.field(default_factory=ScalingSettings)
-    warm_up: int = 20
-    batch_steps: int = 60
+    warm_up: Steps = 20
+    batch_steps: Steps = 60
     run: list[str] = dataclasses.field(default_factory=list)
     online: list[str] = dataclasses.field(default_factory=list)
-    online_steps: int = 10_000
-    peer_particles: list[int] = dataclasses.field(default_factory=lambda: [1000, 10_000])
-    steps: int = 3
-    particles: int = 10_000
+    online_steps: Annotated[int, Range("an integer from 10 up", low=10, most=1e7, whole=True)] = 10_000
+    peer_particles: list[Count] = dataclasses.field(default_factory=lambda: [1000, 10_000])
+    steps: Steps = 3
+    particles: Count = 10_000
     device: str = "cpu"
-    threads: int | None = None
+    threads: Threads | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         known = set(self.parts) <= set(PARTS) and len(set(self.parts)) == len(self.parts) > 0
         require(known, "parts", self.parts, f"some of {list(PARTS)}, each once")
-        for key in ("repeats", "warm_up", "batch_steps", "steps", "particles"):
-            require(getattr(self, key) >= 1, key, getattr(self, key), "a positive integer")
-        require(self.online_steps >= 10, "online_steps", self.online_steps, "an integer from 10 up")
-        counts = self.peer_particles
-        require(bool(counts) and min(counts) >= 1, "peer_particles", counts, "positive integers")
+        require(bool(self.peer_particles), "peer_particles", self.peer_particles, "one number or more")
         TrackSettings(device=self.device, threads=self.threads)  # has the same keys, and checks them
 
 

@@ -222,8 +222,5 @@ def build_region(settings: TrackSettings, dtype: torch.dtype) -> Region:
     Raises:
         InputError: where a coordinate does not make sense.
     """
-    try:
-        coordinates = [Coordinate(**vars(c)) for c in settings.scenario.coordinates]
-    except ValueError as error:
-        raise InputError(f"key 'scenario.coordinates': {error}") from error
+    coordinates = [Coordinate(**vars(c)) for c in settings.scenario.coordinates]
     return Region(coordinates, dtype, settings.device)

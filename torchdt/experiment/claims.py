@@ -12,7 +12,8 @@ from omegaconf import DictConfig, OmegaConf
 from torchdt.atomic import check_writable
 from torchdt.claim import InUseError, claim, refuse_claimed, release
 from torchdt.endings import end, wants_traceback
-from torchdt.errors import StorageError
+from torchdt.errors import InputError, StorageError
+from torchdt.ranges import Name, fault
 
 RUN, SWEEP = ".run.lock", ".sweep.lock"
 
@@ -50,7 +51,12 @@ class DirectoryClaims(Callback):
     """
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Claim the directory of a single run."""
+        """Claim the directory of a single run, of whose path the names in the configuration may be a part."""
+        for key in ("name", "scenario.name"):
+            name = OmegaConf.select(config, key)
+            expected = None if name is None else fault(Name, str(name))
+            if expected is not None:
+                end(1, InputError.of_key(key, name, expected))
         _claim(Path(config.hydra.run.dir), RUN)
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:

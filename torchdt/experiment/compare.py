@@ -16,7 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
 from torchdt.detect.dictionary import build_dictionary
-from torchdt.errors import StorageError, require
+from torchdt.errors import StorageError
 from torchdt.experiment.build import build_region, build_tracker, build_tracking_field, simulate
 from torchdt.experiment.claims import run_directory
 from torchdt.experiment.figures import ambiguity_surface, axis_of
@@ -30,6 +30,7 @@ from torchdt.field.stacked import select_field
 from torchdt.history import TrackHistory
 from torchdt.model.region import Region
 from torchdt.prepare import prepare
+from torchdt.ranges import Count, Seed, StepIndex
 from torchdt.report.compare_tables import (
     Comparison,
     print_comparison,
@@ -61,17 +62,15 @@ class CompareSettings(SuiteSettings):
         tensorboard: write event files.
     """
 
-    trackers: list[str] = dataclasses.field(default_factory=lambda: ["direct"])
-    runs: int = 1
-    seed: int = 0
-    surface_step: int = 200
+    trackers: list[str] = dataclasses.field(default_factory=list)
+    runs: Count = 10
+    seed: Seed = 0
+    surface_step: StepIndex = 200
     tensorboard: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._require_distinct("trackers")
-        require(self.runs >= 1, "runs", self.runs, "a positive integer")
-        require(self.surface_step >= 0, "surface_step", self.surface_step, "a step from 0 up")
 
 
 ConfigStore.instance().store(name="compare_schema", node=CompareSettings)

@@ -1,15 +1,26 @@
 """Where the data of an experiment come from: schemas for Hydra, range checks at the edge."""
 
 import dataclasses
-import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 from torchdt.errors import require
+from torchdt.ranges import (
+    Checked,
+    Count,
+    Decibels,
+    Finite,
+    NotNegative,
+    OneOf,
+    Positive,
+    Range,
+    StepIndex,
+    Steps,
+)
 
 
 @dataclass
-class DataSettings:
+class DataSettings(Checked):
     """Where the snapshots come from.
 
     Attributes:
@@ -17,14 +28,16 @@ class DataSettings:
         path: of the file, or a list of paths; their sequences are tracked as one batch.
     """
 
-    kind: str = "simulated"
+    KEY: ClassVar[str] = "data"
+
+    kind: Annotated[str, OneOf(("simulated", "npz"))] = "simulated"
     path: Any = None
 
     def __post_init__(self) -> None:
-        require(self.kind in ("simulated", "npz"), "data.kind", self.kind, "simulated or npz")
+        super().__post_init__()
         given = bool(self.paths) and all(isinstance(path, str) and path for path in self.paths)
         expected = "the path of a file or a list of paths"
-        require(self.kind == "simulated" or given, "data.path", self.path, expected)
+        require(self.kind != "npz" or given, "data.path", self.path, expected)
 
     @property
     def paths(self) -> list[str]:
@@ -44,7 +57,7 @@ class DataSettings:
 
 
 @dataclass
-class StaticCopySettings:
+class StaticCopySettings(Checked):
     """A standing source made from one step of the data, see `torchdt.signals.static_copy`.
 
     Attributes:
@@ -52,11 +65,10 @@ class StaticCopySettings:
         gain_db: of the data as they were, dB.
     """
 
-    step: int | None = None
-    gain_db: float = -3.0
+    KEY: ClassVar[str] = "data.static_copy"
 
-    def __post_init__(self) -> None:
-        require(math.isfinite(self.gain_db), "data.static_copy.gain_db", self.gain_db, "a finite number")
+    step: StepIndex | None = None
+    gain_db: Decibels = -3.0
 
 
 @dataclass
@@ -78,28 +90,18 @@ class SignalSettings(DataSettings):
         static_copy: adds a standing source.
     """
 
-    kind: str = "wav"
-    sample_rate: float | None = None
-    window_length: int = 4096
-    hop: int = 2048
-    snapshots_per_step: int = 3
-    search_hz: float = 1.0
-    start_s: float = 0.0
-    duration_s: float | None = None
+    kind: Annotated[str, OneOf(("wav", "npy", "sio"))] = "wav"
+    sample_rate: Positive | None = None
+    window_length: Steps = 4096
+    hop: Steps = 2048
+    snapshots_per_step: Count = 3
+    search_hz: NotNegative = 1.0
+    start_s: NotNegative = 0.0
+    duration_s: Positive | None = None
     truth: str | None = None
     truth_path: str | None = None
-    truth_depth_m: float | None = None
+    truth_depth_m: Finite | None = None
     static_copy: StaticCopySettings = dataclasses.field(default_factory=StaticCopySettings)
-
-    def __post_init__(self) -> None:
-        rate, duration = self.sample_rate, self.duration_s
-        for name, holds, expected in (
-            ("kind", self.kind in ("wav", "npy", "sio"), "wav, npy or sio"),
-            ("sample_rate", rate is None or 0 < rate < math.inf, "a positive number of Hz or null"),
-            ("start_s", 0 <= self.start_s < math.inf, "a number from 0 up"),
-            ("duration_s", duration is None or 0 < duration < math.inf, "a positive number or null"),
-        ):
-            require(holds, f"data.{name}", getattr(self, name), expected)
 
 
 @dataclass
@@ -115,16 +117,7 @@ class TartSettings(DataSettings):
             sources, see `torchdt.scenario.tart_count`.
     """
 
-    kind: str = "tart"
-    average: int = 10
+    kind: Annotated[str, OneOf(("tart",))] = "tart"
+    average: Count = 10
     standing: bool = True
-    effective_count: float | None = None
-
-    def __post_init__(self) -> None:
-        count = self.effective_count
-        for name, holds, expected in (
-            ("kind", self.kind == "tart", "tart"),
-            ("average", self.average >= 1, "a positive integer"),
-            ("effective_count", count is None or 1 <= count < math.inf, "a number from one up or null"),
-        ):
-            require(holds, f"data.{name}", getattr(self, name), expected)
+    effective_count: Annotated[float, Range("a number from one up", low=1)] | None = None

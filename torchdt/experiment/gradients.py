@@ -8,6 +8,7 @@ import logging
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -24,6 +25,7 @@ from torchdt.experiment.tunable import build_problem, gather
 from torchdt.experiment.tune_settings import TuneSettings
 from torchdt.particles.transition import GRADIENTS
 from torchdt.prepare import prepare
+from torchdt.ranges import Checked, Range, Steps
 from torchdt.report.console import plain_console
 from torchdt.report.files import manifest, write_json
 from torchdt.tuning.objective import evaluate
@@ -34,7 +36,7 @@ COLUMNS = ("gradient", "truncate", "hyperparameter", "mean", "std", "standard_er
 
 
 @dataclass
-class GradientsSettings:
+class GradientsSettings(Checked):
     """Settings of `experiments/gradients.py`.
 
     Attributes:
@@ -45,12 +47,12 @@ class GradientsSettings:
     """
 
     overrides: list[str] = dataclasses.field(default_factory=list)
-    repeats: int = 8
+    repeats: Annotated[int, Range("two or more", low=2, most=1e4, whole=True)] = 8
     gradients: list[str] = dataclasses.field(default_factory=lambda: list(GRADIENTS))
-    truncations: list[int | None] = dataclasses.field(default_factory=lambda: [None])
+    truncations: list[Steps | None] = dataclasses.field(default_factory=lambda: [None])
 
     def __post_init__(self) -> None:
-        require(self.repeats >= 2, "repeats", self.repeats, "two or more")
+        super().__post_init__()
         known = all(gradient in GRADIENTS for gradient in self.gradients)
         require(known, "gradients", self.gradients, f"some of {GRADIENTS}")
 

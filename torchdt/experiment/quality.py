@@ -24,6 +24,7 @@ from torchdt.experiment.settings import TrackSettings, settings_of
 from torchdt.experiment.track import score_history
 from torchdt.history import TrackHistory
 from torchdt.metrics import Gospa, tgospa, track_delays, trajectories
+from torchdt.ranges import Checked, Name, NotNegative, Positive, Seed
 from torchdt.report.console import plain_console
 from torchdt.report.files import manifest, write_json
 from torchdt.report.quality import Quality, print_rows, write_rows
@@ -34,7 +35,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass
-class SuiteSettings:
+class SuiteSettings(Checked):
     """A suite of scenarios, and how they are scored.
 
     Attributes:
@@ -45,16 +46,15 @@ class SuiteSettings:
         switch_cost: gamma of T-GOSPA, as a share of the scenario's cutoff.
     """
 
-    name: str = "default"
+    name: Name = "default"
     suite: list[str] = dataclasses.field(default_factory=list)
     overrides: list[str] = dataclasses.field(default_factory=list)
-    separation: float = 30.0
-    switch_cost: float = 0.1
+    separation: NotNegative = 30.0
+    switch_cost: Positive = 0.1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self._require_distinct("suite")
-        require(0 <= self.separation < math.inf, "separation", self.separation, "a number from 0 up")
-        require(0 < self.switch_cost < math.inf, "switch_cost", self.switch_cost, "a positive number")
 
     def _require_distinct(self, key: str) -> None:
         values = getattr(self, key)
@@ -69,7 +69,7 @@ class QualitySettings(SuiteSettings):
         seeds: of the runs; consecutive ones are tracked in one batch.
     """
 
-    seeds: list[int] = dataclasses.field(default_factory=lambda: [0])
+    seeds: list[Seed] = dataclasses.field(default_factory=lambda: [0, 1, 2, 3, 4])
 
     def __post_init__(self) -> None:
         super().__post_init__()

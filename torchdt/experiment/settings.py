@@ -2,7 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import torch
 from hydra.core.config_store import ConfigStore
@@ -13,6 +13,7 @@ from torchdt.config import ObjectConfig, TrackerConfig
 from torchdt.detect.config import PursuitConfig, SblConfig
 from torchdt.errors import InputError, require
 from torchdt.experiment.data_settings import DataSettings, SignalSettings, TartSettings
+from torchdt.ranges import Checked, Count, OneOf, Positive, Seed, StepIndex, Steps, Threads
 from torchdt.scenario.settings import ScenarioSettings
 from torchdt.two_step import TwoStepConfig
 from torchdt.variants import variant_configs
@@ -22,7 +23,7 @@ MANY = 8
 
 
 @dataclass
-class LoggingSettings:
+class LoggingSettings(Checked):
     """What a run shows and writes beside its tables.
 
     Attributes:
@@ -34,20 +35,17 @@ class LoggingSettings:
         progress: show a progress bar on a terminal.
     """
 
-    tensorboard: bool = True
-    interval: int | None = 50
-    figures: bool = True
-    surface_step: int = 200
-    progress: bool = True
+    KEY: ClassVar[str] = "logging"
 
-    def __post_init__(self) -> None:
-        positive = self.interval is None or self.interval >= 1
-        require(positive, "logging.interval", self.interval, "a positive integer or null")
-        require(self.surface_step >= 0, "logging.surface_step", self.surface_step, "a step from 0 up")
+    tensorboard: bool = True
+    interval: Steps | None = 50
+    figures: bool = True
+    surface_step: StepIndex = 200
+    progress: bool = True
 
 
 @dataclass
-class TrackSettings:
+class TrackSettings(Checked):
     """Settings of `experiments/track.py`.
 
     Attributes:
@@ -72,26 +70,19 @@ class TrackSettings:
     tracker: ObjectConfig = dataclasses.field(default_factory=ObjectConfig)
     data: DataSettings = dataclasses.field(default_factory=DataSettings)
     logging: LoggingSettings = dataclasses.field(default_factory=LoggingSettings)
-    seed: int = 0
-    runs: int = 1
+    seed: Seed = 0
+    runs: Count = 1
     variants: list[Any] | None = None
     device: str = "cpu"
-    dtype: str = "float32"
-    threads: int | None = None
-    workers: int | None = None
-    memory_gb: float | None = None
-    checkpoint_s: float | None = 15.0
+    dtype: Annotated[str, OneOf(("float32", "float64"))] = "float32"
+    threads: Threads | None = None
+    workers: Threads | None = None
+    memory_gb: Positive | None = None
+    checkpoint_s: Positive | None = 15.0
 
     def __post_init__(self) -> None:
-        require(self.runs >= 1, "runs", self.runs, "a positive integer")
-        require(self.dtype in ("float32", "float64"), "dtype", self.dtype, "float32 or float64")
+        super().__post_init__()
         require(_usable(self.device), "device", self.device, "a device that PyTorch can use here")
-        for name in ("threads", "workers"):
-            value = getattr(self, name)
-            require(value is None or value >= 1, name, value, "a positive integer or null")
-        for name in ("memory_gb", "checkpoint_s"):
-            value = getattr(self, name)
-            require(value is None or value > 0, name, value, "a positive number or null")
         self.variant_configs()
 
     @property

@@ -29,10 +29,12 @@ from torchdt.model.region import Region
 from torchdt.mot.likelihood import GaussianPosition
 from torchdt.mot.tracker import PointTracker
 from torchdt.random import RandomStreams
+from torchdt.ranges import Checked, Count, Name, Seed
 from torchdt.report.files import manifest, write_json
 from torchdt.report.quality import write_table
 from torchdt.scenario.recording import Recording
 from torchdt.tracking import derive_seed
+from torchdt.tuning.config import Step
 from torchdt.tuning.search import tpe
 from torchdt.two_step import TwoStepConfig, TwoStepTracker
 
@@ -44,7 +46,7 @@ FINER = 3.0
 
 
 @dataclass
-class TunePointsSettings:
+class TunePointsSettings(Checked):
     """Settings of `experiments/tune_points.py`.
 
     Attributes:
@@ -58,21 +60,19 @@ class TunePointsSettings:
         width: half the range that is searched, in logarithms (of the odds, for a probability) around those.
     """
 
-    name: str = "default"
+    name: Name = "default"
     method: str = "mp_bp"
     suite: list[str] = dataclasses.field(default_factory=list)
-    runs: int = 1
-    seed: int = 1000
+    runs: Count = 1
+    seed: Seed = 1000
     overrides: list[str] = dataclasses.field(default_factory=list)
-    evaluations: int = 100
-    width: float = 2.3
+    evaluations: Count = 100
+    width: Step = 2.3
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         distinct = len(set(self.suite)) == len(self.suite) > 0
         require(distinct, "suite", self.suite, "at least one, each once")
-        for key in ("runs", "evaluations"):
-            require(getattr(self, key) >= 1, key, getattr(self, key), "a positive integer")
-        require(0 < self.width < math.inf, "width", self.width, "a positive number")
 
 
 ConfigStore.instance().store(name="tune_points_schema", node=TunePointsSettings)

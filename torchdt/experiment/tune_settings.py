@@ -10,6 +10,7 @@ from hydra.core.config_store import ConfigStore
 from torchdt.errors import require
 from torchdt.experiment.settings import TrackSettings
 from torchdt.model.hyperparameters import HyperparameterSettings, PriorSettings
+from torchdt.ranges import Seed
 from torchdt.tuning.config import TuningConfig
 
 
@@ -29,8 +30,8 @@ class TuneSettings(TrackSettings):
     # Hydra cannot add entries to a dictionary whose values have a schema: these are checked here instead.
     hyperparameters: dict[str, Any] = dataclasses.field(default_factory=dict)
     tuning: TuningConfig = dataclasses.field(default_factory=TuningConfig)
-    train_seeds: list[int] = dataclasses.field(default_factory=list)
-    heldout_seeds: list[int] = dataclasses.field(default_factory=list)
+    train_seeds: list[Seed] = dataclasses.field(default_factory=list)
+    heldout_seeds: list[Seed] = dataclasses.field(default_factory=list)
     train_paths: list[str] = dataclasses.field(default_factory=list)
     heldout_paths: list[str] = dataclasses.field(default_factory=list)
     pad: bool = False

@@ -10,6 +10,10 @@ from torch import Tensor
 
 from torchdt.errors import require
 from torchdt.field.base import BoundedField, Field
+from torchdt.ranges import Finite, Positive, check
+
+MOST_CELLS = 10_000_000
+"""Of a region: what their centres take is a small part of a machine's memory."""
 
 
 @dataclass(frozen=True)
@@ -27,31 +31,25 @@ class Coordinate:
 
     name: str
     unit: str
-    low: float
-    high: float
-    cell: float
-    rate_low: float
-    rate_high: float
-    driving_variance: float
+    low: Finite
+    high: Finite
+    cell: Positive
+    rate_low: Finite
+    rate_high: Finite
+    driving_variance: Positive
 
     def __post_init__(self) -> None:
-        if not self.low < self.high:
-            raise ValueError(
-                f"coordinate {self.name}: found low {self.low}, high {self.high}, expected low < high"
-            )
-        if not self.rate_low < self.rate_high:
-            raise ValueError(
-                f"coordinate {self.name}: found rate_low {self.rate_low}, rate_high {self.rate_high}, "
-                "expected rate_low < rate_high"
-            )
-        if not 0 < self.cell <= self.high - self.low:
-            raise ValueError(
-                f"coordinate {self.name}: found cell {self.cell}, expected at most the region's width"
-            )
-        if not self.driving_variance > 0:
-            raise ValueError(
-                f"coordinate {self.name}: found driving_variance {self.driving_variance}, expected > 0"
-            )
+        key = f"scenario.coordinates.{self.name}"
+        check(self, key)
+        for name, low, high in (("low", self.low, self.high), ("rate_low", self.rate_low, self.rate_high)):
+            other = name.replace("low", "high")
+            require(low < high, f"{key}.{name}", low, f"a number below {other}, {high}")
+        width = self.high - self.low
+        require(self.cell <= width, f"{key}.cell", self.cell, f"at most the region's width, {width}")
+        finest = width / MOST_CELLS
+        require(
+            self.cell >= finest, f"{key}.cell", self.cell, f"at least {finest:.3g}, a region of fewer cells"
+        )
 
     @property
     def num_cells(self) -> int:
@@ -91,7 +89,9 @@ class Region:
         self.driving_variance = vector([c.driving_variance for c in self.coordinates])
         self.grid_shape = tuple(c.num_cells for c in self.coordinates)
         self.cell = (self.high - self.low) / vector([float(n) for n in self.grid_shape])
-        found = f"{math.prod(self.grid_shape)} cells, none of them where an object can be"
+        number = math.prod(self.grid_shape)
+        require(number <= MOST_CELLS, "scenario.coordinates", f"{number} cells", f"at most {MOST_CELLS}")
+        found = f"{number} cells, none of them where an object can be"
         require(self.num_cells > 0, "scenario.coordinates", found, "a region with room for objects")
 
     def within(self, field: Field) -> "Region":

@@ -3,20 +3,36 @@
 import math
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 from torchdt.errors import require
+from torchdt.model.region import Coordinate
+from torchdt.ranges import (
+    FINITE,
+    Checked,
+    Count,
+    Decibels,
+    Each,
+    Finite,
+    Name,
+    NotNegative,
+    OneOf,
+    Positive,
+    Probability,
+    Range,
+    Seed,
+    StepIndex,
+    Steps,
+)
 
 AMPLITUDES = ("gaussian", "constant_modulus")
 
 
-def _are_numbers(values: Any) -> bool:
-    """Whether this is a list of finite numbers; nested lists escape the type checks of the schema."""
-    return isinstance(values, list) and all(isinstance(v, int | float) and math.isfinite(v) for v in values)
+Magnitude = Annotated[float, Range("a number from 0 up", low=0, most=1e5)]
 
 
 @dataclass
-class PathSettings:
+class PathSettings(Checked):
     """A way through the region.
 
     Attributes:
@@ -25,13 +41,14 @@ class PathSettings:
             more, a line two, and a single one stands still.
     """
 
-    times_s: list[float] = field(default_factory=lambda: [0.0])
-    positions: list[Any] = field(default_factory=lambda: [[0.0]])
+    KEY: ClassVar[str] = "scenario.paths"
+
+    times_s: list[Finite] = field(default_factory=lambda: [0.0])
+    positions: list[Annotated[Any, Each(FINITE)]] = field(default_factory=lambda: [[0.0]])
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         expected = f"{len(self.times_s)} positions, one for each time"
-        numbers = all(_are_numbers(position) for position in self.positions)
-        require(numbers, "scenario.paths.positions", self.positions, "finite numbers")
         fits = len(self.positions) == len(self.times_s) > 0
         require(fits, "scenario.paths.positions", self.positions, expected)
         rising = all(a < b for a, b in pairwise(self.times_s))
@@ -39,7 +56,7 @@ class PathSettings:
 
 
 @dataclass
-class SourceSettings:
+class SourceSettings(Checked):
     """One simulated source.
 
     Attributes:
@@ -51,26 +68,25 @@ class SourceSettings:
             amplitudes is repeated in every step.
     """
 
+    KEY: ClassVar[str] = "scenario.sources"
+
     path: str = ""
-    power_db: float = 0.0
-    birth: int = 0
-    death: int | None = None
-    silences: list[Any] = field(default_factory=list)
-    frozen_step: int | None = None
+    power_db: Decibels = 0.0
+    birth: StepIndex = 0
+    death: StepIndex | None = None
+    silences: list[list[StepIndex]] = field(default_factory=list)
+    frozen_step: StepIndex | None = None
 
     def __post_init__(self) -> None:
-        pairs = all(_are_numbers(s) and len(s) == 2 and 0 <= s[0] <= s[1] for s in self.silences)
+        super().__post_init__()
+        pairs = all(len(s) == 2 and s[0] <= s[1] for s in self.silences)
         require(pairs, "scenario.sources.silences", self.silences, "pairs [first, last]")
-        require(self.birth >= 0, "scenario.sources.birth", self.birth, "a step from 0 up")
-        require(math.isfinite(self.power_db), "scenario.sources.power_db", self.power_db, "a finite number")
-        frozen = self.frozen_step is None or self.frozen_step >= 0
-        require(frozen, "scenario.sources.frozen_step", self.frozen_step, "a step from 0 up, or null")
         ends = self.death is None or self.death > self.birth
         require(ends, "scenario.sources.death", self.death, f"a step after birth {self.birth}, or null")
 
 
 @dataclass
-class MismatchSettings:
+class MismatchSettings(Checked):
     """How the environment of the simulator differs from the tracker's; drawn anew for each run.
 
     Attributes:
@@ -80,16 +96,18 @@ class MismatchSettings:
         seed: of the one environment that all runs share; None draws each run's from its own seed.
     """
 
-    eof_scale: float = 0.0
-    tilt_deg: list[float] = field(default_factory=lambda: [0.0, 0.0])
-    water_depth_m: list[float] = field(default_factory=lambda: [0.0, 0.0])
-    seed: int | None = None
+    KEY: ClassVar[str] = "scenario.mismatch"
+
+    eof_scale: Magnitude = 0.0
+    tilt_deg: list[Magnitude] = field(default_factory=lambda: [0.0, 0.0])
+    water_depth_m: list[Magnitude] = field(default_factory=lambda: [0.0, 0.0])
+    seed: Seed | None = None
 
     def __post_init__(self) -> None:
-        require(self.eof_scale >= 0, "scenario.mismatch.eof_scale", self.eof_scale, "a number from 0 up")
+        super().__post_init__()
         for name in ("tilt_deg", "water_depth_m"):
             limits = getattr(self, name)
-            holds = len(limits) == 2 and 0 <= limits[0] <= limits[1]
+            holds = len(limits) == 2 and limits[0] <= limits[1]
             require(holds, f"scenario.mismatch.{name}", limits, "[smallest, largest], both from 0 up")
 
     @property
@@ -99,7 +117,7 @@ class MismatchSettings:
 
 
 @dataclass
-class PopulationSettings:
+class PopulationSettings(Checked):
     """Sources drawn from the tracker's model (Liang and Meyer, Sec. II-B) instead of being listed.
 
     Attributes:
@@ -112,25 +130,19 @@ class PopulationSettings:
         max_objects: number of sources at once; births beyond it are dropped. None drops none.
     """
 
-    birth_mean: float = 1e-4
-    survival: float = 0.95
-    power_shape: float = 1e4
-    noise_shape: float = 1e2
-    power_db: list[float] = field(default_factory=lambda: [0.0, 0.0])
-    max_objects: int | None = None
+    KEY: ClassVar[str] = "scenario.population"
+
+    birth_mean: Annotated[float, Range("a number from 0 up", low=0, most=1e4)] = 1e-4
+    survival: Probability = 0.95
+    power_shape: Positive = 1e4
+    noise_shape: Positive = 1e2
+    power_db: list[Decibels] = field(default_factory=lambda: [0.0, 0.0])
+    max_objects: Count | None = None
 
     def __post_init__(self) -> None:
-        limits, most = self.power_db, self.max_objects
-        rising = _are_numbers(limits) and len(limits) == 2 and limits[0] <= limits[1]
-        for name, holds, expected in (
-            ("birth_mean", 0 <= self.birth_mean < math.inf, "a number from 0 up"),
-            ("survival", 0 <= self.survival <= 1, "a probability"),
-            ("power_shape", 0 < self.power_shape < math.inf, "a positive number"),
-            ("noise_shape", 0 < self.noise_shape < math.inf, "a positive number"),
-            ("power_db", rising, "[lowest, highest], finite numbers"),
-            ("max_objects", most is None or most >= 1, "a positive integer or null"),
-        ):
-            require(holds, f"scenario.population.{name}", getattr(self, name), expected)
+        super().__post_init__()
+        rising = len(self.power_db) == 2 and self.power_db[0] <= self.power_db[1]
+        require(rising, f"{self.KEY}.power_db", self.power_db, "[lowest, highest]")
 
 
 @dataclass
@@ -146,9 +158,12 @@ class CoordinateSettings:
     rate_high: float = 1.0
     driving_variance: float = 1.0
 
+    def __post_init__(self) -> None:
+        Coordinate(**vars(self))  # which checks them
+
 
 @dataclass
-class ScenarioSettings:
+class ScenarioSettings(Checked):
     """Region, time axis and sources of a scenario.
 
     Attributes:
@@ -167,34 +182,31 @@ class ScenarioSettings:
         gospa_cutoff, gospa_order: c, in units of the coordinates, and p.
     """
 
-    name: str = "scenario"
-    num_steps: int = 1
-    step_s: float = 1.0
-    num_snapshots: int = 1
-    snr_db: float = 20.0
-    amplitudes: str = "gaussian"
-    phase_step_deg: float = 20.0
+    KEY: ClassVar[str] = "scenario"
+
+    name: Name = "scenario"
+    num_steps: Steps = 1
+    step_s: Annotated[float, Range("a positive number", low=0, open_low=True, least=1e-9, most=1e9)] = 1.0
+    num_snapshots: Count = 1
+    snr_db: Decibels = 20.0
+    amplitudes: Annotated[str, OneOf(AMPLITUDES)] = "gaussian"
+    phase_step_deg: NotNegative = 20.0
     coordinates: list[CoordinateSettings] = field(default_factory=lambda: [CoordinateSettings()])
     paths: dict[str, PathSettings] = field(default_factory=dict)
     sources: dict[str, SourceSettings] = field(default_factory=dict)
     population: PopulationSettings | None = None
     mismatch: MismatchSettings = field(default_factory=MismatchSettings)
-    gospa_cutoff: float = 200.0
-    gospa_order: float = 1.0
+    gospa_cutoff: Positive = 200.0
+    gospa_order: Annotated[float, Range("a number from 1 up", low=1, most=100)] = 1.0
 
     def __post_init__(self) -> None:
-        for name, holds, expected in (
-            ("num_steps", self.num_steps >= 1, "a positive integer"),
-            ("num_snapshots", self.num_snapshots >= 1, "a positive integer"),
-            ("step_s", 0 < self.step_s < math.inf, "a positive number"),
-            ("snr_db", math.isfinite(self.snr_db), "a finite number"),
-            ("gospa_cutoff", 0 < self.gospa_cutoff < math.inf, "a positive number"),
-            ("gospa_order", 1 <= self.gospa_order < math.inf, "a number from 1 up"),
-            ("phase_step_deg", 0 <= self.phase_step_deg < math.inf, "a number from 0 up"),
-            ("coordinates", len(self.coordinates) >= 1, "at least one coordinate"),
-            ("amplitudes", self.amplitudes in AMPLITUDES, " or ".join(AMPLITUDES)),
-        ):
-            require(holds, f"scenario.{name}", getattr(self, name), expected)
+        super().__post_init__()
+        require(
+            len(self.coordinates) >= 1, "scenario.coordinates", self.coordinates, "at least one coordinate"
+        )
+        size = self.gospa_order * abs(math.log10(self.gospa_cutoff))
+        expected = f"an order whose power of the cutoff, {self.gospa_cutoff:g}, is no overflow"
+        require(size < 100, "scenario.gospa_order", self.gospa_order, expected)
         either = self.population is None or not self.sources
         require(either, "scenario.sources", sorted(self.sources), "none beside scenario.population")
         width, known = len(self.coordinates), sorted(self.paths)

@@ -1,15 +1,18 @@
 """Settings of hyperparameter tuning, checked once when they are made."""
 
-import math
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 from torchdt.errors import require
+from torchdt.ranges import Checked, Count, OneOf, Positive, PositiveShare, Range, Seed, Steps
 
 METHODS = ("gradient", "tpe", "grid")
+Step = Annotated[float, Range("a positive number", low=0, open_low=True, least=1e-12, most=100)]
+"""Of logarithms and log-odds, which are exponents."""
 
 
 @dataclass
-class TuningConfig:
+class TuningConfig(Checked):
     """How the likelihood is climbed.
 
     A pass is one run of the filter over all sequences of a set; a gradient costs three (its backward pass
@@ -35,35 +38,26 @@ class TuningConfig:
         slice_points: points of each likelihood slice; 0 draws none.
     """
 
-    method: str = "gradient"
-    steps: int = 60
-    learning_rate: float = 0.3
-    decay: float = 0.1
-    clip: float = 1.0
-    heldout_every: int = 5
-    patience: int = 4
-    budget_passes: int | None = None
-    width: float = 2.0
-    seed: int = 0
-    block: int | None = None
-    truncate: int | None = None
-    checkpoint_every: int = 1
-    gospa_every: int = 20
-    slice_points: int = 9
+    KEY: ClassVar[str] = "tuning"
+
+    method: Annotated[str, OneOf(METHODS)] = "gradient"
+    steps: Count = 60
+    learning_rate: Step = 0.3
+    decay: PositiveShare = 0.1
+    clip: Positive = 1.0
+    heldout_every: Count = 5
+    patience: Count = 4
+    budget_passes: Count | None = None
+    width: Step = 2.0
+    seed: Seed = 0
+    block: Steps | None = 8
+    truncate: Steps | None = None
+    checkpoint_every: Count = 1
+    gospa_every: Count = 20
+    slice_points: Annotated[int, Range("a number of points from 0 up", low=0, most=1e4, whole=True)] = 9
 
     def __post_init__(self) -> None:
-        self._require("method", self.method in METHODS, " or ".join(METHODS))
-        for name in ("steps", "heldout_every", "patience", "checkpoint_every", "gospa_every"):
-            self._require(name, getattr(self, name) >= 1, "a positive integer")
-        for name in ("budget_passes", "block", "truncate"):
-            value = getattr(self, name)
-            self._require(name, value is None or value >= 1, "a positive integer or null")
-        for name in ("learning_rate", "clip", "width"):
-            self._require(name, 0 < getattr(self, name) < math.inf, "a positive number")
-        self._require("decay", 0 < self.decay <= 1, "a number above 0, up to 1")
-        self._require("slice_points", self.slice_points >= 0, "a number of points from 0 up")
+        super().__post_init__()
         given = self.method == "gradient" or self.budget_passes is not None
-        self._require("budget_passes", given, f"a number of passes for {self.method}")
-
-    def _require(self, name: str, holds: bool, expected: str) -> None:
-        require(holds, f"tuning.{name}", getattr(self, name), expected)
+        expected = f"a number of passes for {self.method}"
+        require(given, f"{self.KEY}.budget_passes", self.budget_passes, expected)
