@@ -194,7 +194,8 @@ def test_problems_out_of_range(key):
 @pytest.mark.parametrize("sizes", [[], [1, 2], [0, 1, 2], [1, 3, 3], [4, 2, 1]])
 @pytest.mark.parametrize("key", ["slots", "particles", "tones", "sensors", "batch", "steps"])
 def test_sizes_out_of_range(key, sizes):
-    with pytest.raises(InputError, match=rf"key 'scaling.{key}': found .*, expected three or more rising"):
+    expected = "(three or more rising|a list, each entry a positive integer)"
+    with pytest.raises(InputError, match=rf"key 'scaling.{key}': found .*, expected {expected}"):
         ScalingSettings(**{key: sizes})
 
 
