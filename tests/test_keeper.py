@@ -220,8 +220,56 @@ def test_another_run(tmp_path, one):
 
 def test_the_state_of_another_tracker(tmp_path, one):
     track(one, build("direct"), [7], keep=keeper(tmp_path))
-    with pytest.raises(InputError, match=r"0-0.pt'.*expected a complete checkpoint of 'tracking'"):
+    with pytest.raises(InputError, match=r"0-0.pt'.*content.state: 3 entries, expected 2 entries; another"):
         track(one, build("two_step"), [7], keep=keeper(tmp_path))
+
+
+def changed(place, value):
+    """A change of one entry somewhere in a checkpoint."""
+
+    def change(content):
+        *way, last = place
+        for key in way:
+            content[key] = list(content[key]) if isinstance(content[key], tuple) else content[key]
+            content = content[key]
+        if value is None:
+            del content[last]
+        else:
+            content[last] = value(content[last])
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "value", "words"),
+    [
+        ("plan.pt", ["chunks"], None, "content: the keys , expected the keys chunks"),
+        ("plan.pt", ["chunks"], lambda _: [], "chunks \\[\\], expected consecutive ones of 1 sequences"),
+        ("plan.pt", ["chunks"], lambda _: [(0, 2)], "expected consecutive ones of 1 sequences"),
+        ("plan.pt", ["chunks"], lambda _: [(0, 0), (0, 1)], "expected consecutive ones of 1 sequences"),
+        ("plan.pt", ["chunks"], lambda _: [("0", 1)], "content.chunks.0: '0', expected int"),
+        ("0-0.pt", ["seconds"], lambda _: "long", "content.seconds: 'long', expected float"),
+        ("0-0.pt", ["state"], None, "expected the keys state, history, streams, seconds"),
+        ("0-0.pt", ["state"], lambda state: state[:2], "content.state: 2 entries, expected 3 entries"),
+        ("0-0.pt", ["state", 0, 0], lambda t: t[:, :1], "content.state.0.0: a tensor .* expected a tensor"),
+        ("0-0.pt", ["state", 0, 0], lambda t: t.double(), "of float64, expected a tensor .* of float32"),
+        ("0-0.pt", ["history"], lambda _: (), "a history of 0 steps, expected 1 to 6"),
+        ("0-0.pt", ["history"], lambda h: [t[:, :0] for t in h], "a history of 0 steps, expected 1 to 6"),
+        ("0-0.pt", ["history", 0], lambda t: torch.cat([t, t], 1), "a history of 12 steps, expected 1 to 6"),
+        ("0-0.pt", ["history", 0], lambda t: t[:, :3], r"content.history.1: a tensor \(1, 6, 4\) of bool"),
+        ("0-0.pt", ["history", 3], lambda t: t[..., :1], "content.history.3: a tensor"),
+        ("0-0.pt", ["streams"], lambda _: [], "content.streams: 0 entries, expected 1 entries"),
+        ("0-0.pt", ["streams", 0], lambda t: t[:9], r"content.streams.0: a tensor \(9,\) of uint8"),
+    ],
+)
+def test_content_that_is_not_what_this_tracker_keeps(tmp_path, one, name, place, value, words):
+    """With the right fingerprint: one error says where it differs and what to do."""
+    track(one, build("direct"), [7], keep=keeper(tmp_path))
+    stored = torch.load(tmp_path / name, weights_only=True)
+    changed(place, value)(stored["content"])
+    torch.save(stored, tmp_path / name)
+    with pytest.raises(InputError, match=rf"{name}': found .*{words}.*; another folder starts anew"):
+        track(one, build("direct"), [7], keep=keeper(tmp_path))
 
 
 @pytest.mark.parametrize("name", ["plan.pt", "0-0.pt"])

@@ -4,9 +4,11 @@ import io
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from types import UnionType
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from torchdt.atomic import atomic_write
 from torchdt.errors import InputError
@@ -70,6 +72,56 @@ def not_a_checkpoint(path: str | os.PathLike[str], kind: str) -> InputError:
     return InputError.of_path(
         path, "a file of another kind, or part of one", f"a complete checkpoint of '{kind}'"
     )
+
+
+def require_like(
+    path: str | os.PathLike[str], found: object, expected: object, place: str = "content"
+) -> None:
+    """Check that what a checkpoint holds is made as its job makes it, for no later step to stumble.
+
+    Args:
+        path: of the file, for the error.
+        found: from the file.
+        expected: a tensor stands for those of its shape and type; a type, or a union of some, for its values;
+            a mapping for those with the same keys, a list or tuple for those of
+            the same length, each entry like its own.
+        place: of `found` in the file.
+
+    Raises:
+        InputError: naming the file, the first place that differs, and what is there.
+    """
+    if isinstance(expected, Mapping):
+        same = isinstance(found, Mapping) and found.keys() == expected.keys()
+        words = f"the keys {', '.join(map(str, expected))}"
+        parts = [(key, expected[key]) for key in expected]
+    elif isinstance(expected, list | tuple):
+        same = isinstance(found, list | tuple) and len(found) == len(expected)
+        words = f"{len(expected)} entries"
+        parts = list(enumerate(expected))
+    elif isinstance(expected, Tensor):
+        same = isinstance(found, Tensor) and (found.shape, found.dtype) == (expected.shape, expected.dtype)
+        words, parts = _words(expected), []
+    else:
+        assert isinstance(expected, type | UnionType)
+        same = isinstance(found, expected) and not (
+            isinstance(found, bool) and expected not in (bool, object)
+        )
+        words, parts = getattr(expected, "__name__", str(expected)), []
+    if not same:
+        raise InputError.of_path(path, f"{place}: {_words(found)}", f"{words}; another folder starts anew")
+    for key, part in parts:
+        require_like(path, found[key], part, f"{place}.{key}")  # type: ignore[index]
+
+
+def _words(found: object) -> str:
+    """What there is, in words that are short whatever it is."""
+    if isinstance(found, Tensor):
+        return f"a tensor {tuple(found.shape)} of {str(found.dtype).removeprefix('torch.')}"
+    if isinstance(found, Mapping):
+        return f"the keys {', '.join(map(str, found))}"[:200]
+    if isinstance(found, list | tuple):
+        return f"{len(found)} entries"
+    return f"{found!r}"[:200]
 
 
 def flatten(config: Mapping[str, object], prefix: str = "") -> dict[str, object]:

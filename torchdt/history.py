@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 
@@ -41,3 +42,28 @@ class TrackHistory(NamedTuple):
     def select(self, run: int) -> "TrackHistory":
         """One element of the leading batch dimension, `(K, ...)` for a batch `(B, K, ...)`."""
         return TrackHistory(*(field[run] for field in self))
+
+
+def history_like(
+    batch: int, steps: int, slots: int, dims: int, tones: int, dtype: torch.dtype
+) -> TrackHistory:
+    """A history of these sizes whose values mean nothing, on the device `meta`, which holds none.
+
+    Args:
+        batch: number B of sequences.
+        steps: number K of steps.
+        slots: number N of potential objects.
+        dims: number D of state entries.
+        tones: number I.
+        dtype: real type of all that is neither a label nor a decision.
+    """
+    of_slot: tuple[int, ...] = (batch, steps, slots)
+    shapes = {"state": (*of_slot, dims), "state_std": (*of_slot, dims), "power": (*of_slot, tones)}
+    shapes |= {"noise": (*of_slot[:2], tones), "log_evidence": of_slot[:2]}
+    types = {"declared": torch.bool, "label": torch.int64}
+    return TrackHistory(
+        *(
+            torch.empty(shapes.get(name, of_slot), dtype=types.get(name, dtype), device="meta")
+            for name in TrackHistory._fields
+        )
+    )

@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from torchdt.atomic import storing
-from torchdt.checkpoint import load_checkpoint, not_a_checkpoint, save_checkpoint
+from torchdt.checkpoint import load_checkpoint, require_like, save_checkpoint
+from torchdt.errors import InputError
 from torchdt.history import TrackHistory
 from torchdt.protocol import Past
 from torchdt.random import RandomStreams
@@ -63,7 +64,7 @@ class Keeper:
         path = self.directory / "plan.pt"
         known = load_checkpoint(path, KIND, self.fingerprint)
         if known is not None:
-            return [slice(*chunk) for chunk in known["chunks"]]
+            return _chunks_in(path, known, chunks[-1].stop)
         with storing(self.directory):
             self.directory.mkdir(parents=True, exist_ok=True)
         content = {"chunks": [(chunk.start, chunk.stop) for chunk in chunks]}
@@ -84,6 +85,7 @@ class Keeper:
         """Content of a chunk's file, whose time counts from now on; None where there is none."""
         content = load_checkpoint(path, KIND, self.fingerprint)
         if content is not None:
+            require_like(path, content.get("seconds"), float, "content.seconds")
             self._earlier = max(self._earlier, content["seconds"])
         return content
 
@@ -107,11 +109,12 @@ class ChunkKeeper:
         self.estimates: list[TrackHistory] = []
         self.written = time.monotonic()
 
-    def past(self, template: Any) -> Past[Any] | None:
+    def past(self, template: Any, history_of: Callable[[int], TrackHistory]) -> Past[Any] | None:
         """What was kept, the random numbers set to go on from there; None where nothing was.
 
         Args:
             template: a state of the tracker, nested named tuples of tensors.
+            history_of: a history of that many steps, of which shapes and types count.
 
         Raises:
             InputError: where the file is damaged, or that of another tracker.
@@ -119,18 +122,27 @@ class ChunkKeeper:
         content = self.keeper.load(self.path)
         if content is None:
             return None
-        try:
-            state = revived(template, content["state"])
-            device = self.streams.generators[0].device
-            history = TrackHistory(*(part.to(device) for part in content["history"]))
-            self.streams.skip_to(content["streams"])
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise not_a_checkpoint(self.path, KIND) from error
-        past = Past(state, history)
+        steps = self._steps_in(content)
+        streams = self.streams.snapshot()
+        expected = {"state": template, "history": tuple(history_of(steps)), "streams": streams}
+        require_like(self.path, content, {**expected, "seconds": float})
+        device = self.streams.generators[0].device
+        history = TrackHistory(*(part.to(device) for part in content["history"]))
+        self.streams.skip_to(content["streams"])
+        past = Past(revived(template, content["state"]), history)
         self.estimates = past.steps(1)
-        done = len(self.estimates)
-        log.info("sequences %s: %d of %d steps were done, going on", self.path.stem, done, self.num_steps)
+        log.info("sequences %s: %d of %d steps were done, going on", self.path.stem, steps, self.num_steps)
         return past
+
+    def _steps_in(self, content: Mapping[str, Any]) -> int:
+        """How many steps were done, as the first field of the history says; the others have to agree."""
+        history = content.get("history")
+        first = history[0] if isinstance(history, list | tuple) and history else None
+        steps = first.shape[1] if isinstance(first, Tensor) and first.ndim > 1 else 0
+        if not 1 <= steps <= self.num_steps:
+            expected = f"1 to {self.num_steps}; another folder starts anew"
+            raise InputError.of_path(self.path, f"a history of {steps} steps", expected)
+        return steps
 
     def __call__(self, step: int, state: Any, estimate: TrackHistory) -> None:
         """Note a step, and write it with all before it where it is time."""
@@ -144,17 +156,30 @@ class ChunkKeeper:
         self.written = time.monotonic()
 
 
+def _chunks_in(path: Path, content: Mapping[str, Any], number: int) -> list[slice]:
+    """The chunks of a plan, which are all sequences in order.
+
+    Raises:
+        InputError: where they are not.
+    """
+    require_like(path, content, {"chunks": list})
+    chunks = content["chunks"]
+    for chunk in chunks:
+        require_like(path, chunk, (int, int), "content.chunks")
+    ends = [0, *(stop for _, stop in chunks)]
+    if [start for start, _ in chunks] != ends[:-1] or ends[-1] != number or sorted(set(ends)) != ends:
+        expected = f"consecutive ones of {number} sequences; another folder starts anew"
+        raise InputError.of_path(path, f"chunks {chunks}"[:200], expected)
+    return [slice(*chunk) for chunk in chunks]
+
+
 def plain(state: Any) -> Any:
     """Nested named tuples of tensors as nested plain tuples of tensors on the CPU."""
     return state.cpu() if isinstance(state, Tensor) else tuple(map(plain, state))
 
 
 def revived(template: Any, values: Any) -> Any:
-    """Nested plain tuples as the named tuples of a template, and on its devices.
-
-    Raises:
-        ValueError: where the two are not nested alike.
-    """
+    """Nested plain tuples as the named tuples of a template, nested alike, and on its devices."""
     if isinstance(template, Tensor):
         return values.to(template.device)
     parts = (revived(part, value) for part, value in zip(template, values, strict=True))

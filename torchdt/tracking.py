@@ -11,7 +11,7 @@ from torch import Generator
 
 from torchdt.chunks import MOST_ON_CPU, bytes_per_sequence, plan, run_chunks
 from torchdt.errors import require
-from torchdt.history import TrackHistory
+from torchdt.history import TrackHistory, history_like
 from torchdt.keeper import ChunkKeeper, Keeper
 from torchdt.memory import free_memory_gb
 from torchdt.prepare import Prepared
@@ -101,6 +101,10 @@ def _track_chunk(
     units = _Units(prepared)
     keeper = None if keep is None else keep(streams, recording.num_steps)
 
+    def history_of(steps: int) -> TrackHistory:
+        sizes = tracker.config.slots, 2 * region.num_coordinates, recording.num_tones
+        return history_like(recording.batch_size, steps, *sizes, region.low.dtype)
+
     def report(step: int, state: Any, estimate: TrackHistory) -> None:
         on_step(step, state, units.of_step(estimate, step))
 
@@ -110,7 +114,7 @@ def _track_chunk(
             keeper(step, state, estimate)
 
     with torch.inference_mode():  # of the thread that calls
-        past = None if keeper is None else keeper.past(tracker.init(prepared.priors))
+        past = None if keeper is None else keeper.past(tracker.init(prepared.priors), history_of)
         if past is not None:
             done = past.steps(1)
             report(len(done) - 1, past.state, done[-1])

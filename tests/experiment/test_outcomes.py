@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import pytest
@@ -31,16 +32,45 @@ def test_no_file(tmp_path):
     assert load_outcomes(tmp_path / "none.pt", {}) == {}
 
 
+SCORES = tuple(torch.zeros(1, 3) for _ in Gospa._fields)
+FINE = {
+    "quality": dataclasses.asdict(Quality("weak", runs=1)),
+    "gospa": SCORES,
+    "estimates": torch.zeros(2, 2),
+}
+
+
 @pytest.mark.parametrize(
-    "content",
+    ("row", "words"),
     [
-        {"weak": 1},
-        {"weak": {"direct": {"quality": {}}}},
-        {"weak": {"direct": {"quality": {"scenario": "weak", "x": 1}, "gospa": (), "estimates": 0}}},
+        (1, "content.weak.direct: 1, expected the keys quality, gospa, estimates"),
+        (
+            {"quality": {}},
+            "content.weak.direct: the keys quality, expected the keys quality, gospa, estimates",
+        ),
+        (
+            FINE | {"quality": {"scenario": "weak", "x": 1}},
+            "direct.quality: the keys scenario, x",
+        ),
+        (
+            FINE | {"quality": FINE["quality"] | {"gospa": "low"}},
+            "content.weak.direct.quality.gospa: 'low', expected float",
+        ),
+        (FINE | {"gospa": SCORES[:3]}, "content.weak.direct.gospa: 3 entries, expected 6 entries"),
+        (FINE | {"gospa": (*SCORES[:5], 0)}, "content.weak.direct.gospa.5: 0, expected Tensor"),
+        (FINE | {"gospa": (*SCORES[:5], torch.zeros(1, 2))}, r"tensors .*expected scores \(runs, steps\)"),
+        (FINE | {"gospa": (torch.zeros(2, 3),) * 6}, r"tensors .*expected scores \(runs, steps\)"),
+        (FINE | {"estimates": torch.zeros(2)}, r"tensors .*estimates \(objects, coordinates\)"),
     ],
 )
-def test_another_content(tmp_path, content):
+def test_another_content(tmp_path, row, words):
     path = tmp_path / "other.pt"
-    save_checkpoint(path, KIND, {}, content)
-    with pytest.raises(InputError, match=r"other.pt'.*expected a complete checkpoint of 'compare'"):
+    save_checkpoint(path, KIND, {}, {"weak": {"direct": row}})
+    with pytest.raises(InputError, match=rf"other.pt': found .*{words}.*; another folder starts anew"):
         load_outcomes(path, {})
+
+
+def test_the_content_that_the_others_change_is_fine(tmp_path):
+    path = tmp_path / "checkpoint.pt"
+    save_checkpoint(path, KIND, {}, {"weak": {"direct": FINE}})
+    assert load_outcomes(path, {})["weak"]["direct"].quality.runs == 1

@@ -210,6 +210,17 @@ def test_a_finished_run_is_left_alone(start, whole):
     assert again.log.count("finished before, nothing to do") == 1
 
 
+def test_a_finished_run_whose_tables_are_gone_is_run_again(start, tmp_path, whole):
+    arguments = (tmp_path, "runs=2", ALONE)
+    assert start(*arguments).status == 0
+    (tmp_path / "gospa.csv").unlink()
+    again = start(*arguments)
+    assert again.status == 0, again.err
+    assert "finished before, but without gospa.csv now: running again" in again.log
+    assert contents(tmp_path) == contents(whole.directory)
+    assert "nothing to do" in start(*arguments).log
+
+
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [

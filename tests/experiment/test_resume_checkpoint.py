@@ -6,6 +6,8 @@ from unittest import mock
 
 import pytest
 
+from torchdt.checkpoint import save_checkpoint
+from torchdt.errors import InputError
 from torchdt.experiment.resume import RunCheckpoint, fingerprint_of
 from torchdt.experiment.settings import TrackSettings
 
@@ -47,3 +49,18 @@ def test_a_run_is_finished_before_its_state_is_taken_away(tmp_path):
         checkpoint.finish(0.5, keeper)
     again = RunCheckpoint(tmp_path, {"seed": 0}, 15.0)
     assert (again.finished, again.score) == (True, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ({"finished": "no", "score": None}, "content.finished: 'no', expected bool"),
+        ({"finished": 1, "score": None}, "content.finished: 1, expected bool"),
+        ({"finished": True, "score": "low"}, r"content.score: 'low', expected float \| None"),
+        ({"finished": True}, "content: the keys finished, expected the keys finished, score"),
+    ],
+)
+def test_a_checkpoint_that_does_not_say_whether_the_run_is_finished(tmp_path, content, words):
+    save_checkpoint(tmp_path / "checkpoint.pt", "track", {"seed": 0}, content)
+    with pytest.raises(InputError, match=rf"checkpoint.pt': found {words}; another folder starts anew"):
+        RunCheckpoint(tmp_path, {"seed": 0}, 15.0)

@@ -1,3 +1,4 @@
+import dataclasses
 import random
 
 import pytest
@@ -5,9 +6,10 @@ import torch
 
 from torchdt.checkpoint import save_checkpoint
 from torchdt.errors import InputError
-from torchdt.tuning.checkpoint import KIND, load_state, save_state
+from torchdt.tuning.checkpoint import KIND, load_state, require_values, save_state
 from torchdt.tuning.config import TuningConfig
 from torchdt.tuning.gradient import ascend
+from torchdt.tuning.state import initial_state, raw_values
 
 FINGERPRINT = {"seed": 0, "tuning.learning_rate": 0.1, "train_seeds": [0, 1]}
 CONFIG = TuningConfig(steps=12, heldout_every=3)
@@ -65,9 +67,41 @@ def test_no_file(tmp_path):
     assert load_state(tmp_path / "none.pt", FINGERPRINT) is None
 
 
-@pytest.mark.parametrize("content", [{"x": 1}, {"records": [{"step": 0}]}, {"records": [], "x": 1}])
-def test_another_content(tmp_path, content):
-    path = tmp_path / "other.pt"
-    save_checkpoint(path, KIND, FINGERPRINT, content)
-    with pytest.raises(InputError, match=r"other.pt'.*expected a complete checkpoint of 'tune'"):
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"x": 1}, "content: the keys raw, .*, x, expected the keys raw"),
+        ({"finished": "no"}, "content.finished: 'no', expected bool"),
+        ({"raw": []}, "content.raw: 0 entries, expected dict"),
+        ({"stale": None}, "content.stale: None, expected int"),
+        ({"records": ()}, "no records, expected one for each step"),
+        ({"records": ({"step": 0},)}, "content.records: the keys step, expected the keys step, values"),
+    ],
+)
+def test_another_content(saved, changes, words):
+    path, state = saved
+    save_checkpoint(path, KIND, FINGERPRINT, dataclasses.asdict(state) | changes)
+    with pytest.raises(InputError, match=rf"checkpoint.pt': found .*{words}.*; another folder starts anew"):
         load_state(path, FINGERPRINT)
+
+
+def test_values_are_those_that_are_tuned(saved, make):
+    path, state = saved
+    start = raw_values(make())
+    name = next(iter(start))
+    require_values(path, state, start)
+    require_values(path, initial_state(make()), start)
+    optimizer = state.optimizer
+    first = {**optimizer["state"], 0: {**optimizer["state"][0], "exp_avg": torch.zeros(9)}}
+    less = [{"lr": 1}]
+    bad = {
+        "content.raw: the keys": {"raw": {"other": start[name]}},
+        rf"content.best.{name}: a tensor \(9,\)": {"best": {**state.best, name: torch.zeros(9)}},
+        rf"content.good.{name}: 1, expected a tensor": {"good": {**state.good, name: 1}},
+        r"content.optimizer.state.0.exp_avg: a tensor \(9,\)": {"optimizer": {**optimizer, "state": first}},
+        "content.optimizer.param_groups: 0 entries": {"optimizer": {**optimizer, "param_groups": []}},
+        "content.optimizer.param_groups.0: the keys lr": {"optimizer": {**optimizer, "param_groups": less}},
+    }
+    for words, change in bad.items():
+        with pytest.raises(InputError, match=rf"found {words}.*; another folder starts anew"):
+            require_values(path, dataclasses.replace(state, **change), start)

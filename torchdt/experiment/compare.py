@@ -118,7 +118,10 @@ def run_compare(config: DictConfig) -> list[Comparison]:
     directory = run_directory()
     plain = dataclasses.asdict(settings)
     fingerprint = {key: value for key, value in plain.items() if key != "tensorboard"}
-    done = load_outcomes(directory / "checkpoint.pt", fingerprint)
+    known = load_outcomes(directory / "checkpoint.pt", fingerprint)
+    done = {name: rows for name, rows in known.items() if (directory / name / "gospa.csv").is_file()}
+    for name in known.keys() - done.keys():
+        log.warning("%s was done, but %s is gone: running again", name, directory / name / "gospa.csv")
     if done:
         log.info("going on, %d rows were done", sum(map(len, done.values())))
     write_json(directory / "manifest.json", manifest(plain, settings.seed))

@@ -3,11 +3,12 @@
 import dataclasses
 import os
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple, get_origin
 
 from torch import Tensor
 
-from torchdt.checkpoint import load_checkpoint, not_a_checkpoint, save_checkpoint
+from torchdt.checkpoint import load_checkpoint, require_like, save_checkpoint
+from torchdt.errors import InputError
 from torchdt.metrics import Gospa
 from torchdt.report.quality import Quality
 
@@ -58,13 +59,25 @@ def load_outcomes(path: str | os.PathLike[str], fingerprint: Mapping[str, object
             fingerprint.
     """
     content = load_checkpoint(path, KIND, fingerprint) or {}
-    try:
-        return {
-            scenario: {
-                tracker: Outcome(Quality(**row["quality"]), Gospa(*row["gospa"]), row["estimates"])
-                for tracker, row in by_tracker.items()
-            }
-            for scenario, by_tracker in content.items()
+    outcomes: Outcomes = {}
+    for scenario, by_tracker in content.items():
+        require_like(path, by_tracker, dict, f"content.{scenario}")
+        outcomes[scenario] = {
+            tracker: _outcome(path, row, f"content.{scenario}.{tracker}")
+            for tracker, row in by_tracker.items()
         }
-    except (AttributeError, KeyError, TypeError) as error:
-        raise not_a_checkpoint(path, KIND) from error
+    return outcomes
+
+
+def _outcome(path: str | os.PathLike[str], row: Any, place: str) -> Outcome:
+    require_like(path, row, {"quality": dict, "gospa": tuple, "estimates": Tensor}, place)
+    quality = {field.name: get_origin(field.type) or field.type for field in dataclasses.fields(Quality)}
+    require_like(path, row["quality"], quality, f"{place}.quality")
+    require_like(path, row["gospa"], (Tensor,) * len(Gospa._fields), f"{place}.gospa")
+    total, estimates = row["gospa"][0], row["estimates"]
+    shapes = {part.shape for part in row["gospa"]}
+    if len(shapes) != 1 or total.ndim != 2 or len(total) != row["quality"]["runs"] or estimates.ndim != 2:
+        found = f"{place}: tensors {[tuple(part.shape) for part in (*row['gospa'], estimates)]}"
+        expected = "scores (runs, steps) and estimates (objects, coordinates)"
+        raise InputError.of_path(path, found, f"{expected}; another folder starts anew")
+    return Outcome(Quality(**row["quality"]), Gospa(*row["gospa"]), estimates)

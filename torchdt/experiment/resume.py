@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from torchdt.checkpoint import flatten, load_checkpoint, save_checkpoint
+from torchdt.checkpoint import flatten, load_checkpoint, require_like, save_checkpoint
 from torchdt.errors import InputError
 from torchdt.experiment.settings import TrackSettings
 from torchdt.files import regular_file
@@ -55,6 +55,8 @@ class RunCheckpoint:
         self.path, self.folder = directory / "checkpoint.pt", directory / "checkpoint"
         self.fingerprint, self.every_s = fingerprint, every_s
         self._known = load_checkpoint(self.path, KIND, fingerprint)
+        if self._known is not None:
+            require_like(self.path, self._known, {"finished": bool, "score": float | None})
 
     @property
     def finished(self) -> bool:

@@ -43,7 +43,7 @@ def run_track(config: DictConfig) -> float | None:
     """Run one job in Hydra's run directory.
 
     In that of an interrupted run it goes on and ends with the same numbers; in that of a finished one nothing
-    is computed or written.
+    is computed or written, unless a table is gone: then it is run again.
 
     Returns:
         Mean GOSPA over runs, those of all variants, and steps, for sweeps to minimise; None without truth.
@@ -59,8 +59,13 @@ def run_track(config: DictConfig) -> float | None:
     fingerprint = {"tracker": name, **fingerprint_of(settings)}
     checkpoint = RunCheckpoint(directory, fingerprint, settings.checkpoint_s)
     if checkpoint.finished:
-        log.info("finished before, nothing to do: %s", directory)
-        return checkpoint.score
+        tables = ["metrics.json", "tracks.csv"] + ["gospa.csv"] * (checkpoint.score is not None)
+        tables += ["variants.csv"] * bool(settings.variants)
+        gone = [table for table in tables if not (directory / table).is_file()]
+        if not gone:
+            log.info("finished before, nothing to do: %s", directory)
+            return checkpoint.score
+        log.warning("finished before, but without %s now: running again", ", ".join(gone))
     write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), settings.seed))
     set_threads(settings)
     recording, tracker, seeds = set_up(settings)

@@ -23,7 +23,7 @@ from torchdt.report.files import manifest, write_figures, write_json
 from torchdt.report.hparams import row_settings
 from torchdt.report.tuning import TuningReport, slice_figure, tuning_summary, write_tuned, write_tuning_csv
 from torchdt.tracking import track
-from torchdt.tuning.checkpoint import load_state, save_state
+from torchdt.tuning.checkpoint import load_state, require_values, save_state
 from torchdt.tuning.gradient import ascend
 from torchdt.tuning.search import search
 from torchdt.tuning.slices import slices
@@ -59,6 +59,8 @@ def run_tune(config: DictConfig) -> float | None:
         gather(settings, settings.heldout_seeds, settings.heldout_paths, settings.pad),
     ]
     hyperparameters, families = build_problem(settings, settings.hyperparameters, sets)
+    if known is not None:
+        require_values(directory / "checkpoint.pt", known, raw_values(hyperparameters))
     job = TuneJob(settings, directory, fingerprint, hyperparameters, sets, families)
     if known is not None and not known.finished:
         log.info("going on after %d steps", len(known.records))
@@ -149,6 +151,7 @@ class TuneJob:
         scores = self.gospa(self.start), self.gospa(state.best)
         set_raw(self.hyperparameters, state.best)
         values = self.hyperparameters.values()
+        write_tuning_csv(self.directory / "tuning.csv", state.records)
         write_tuned(self.directory / "tuned.yaml", values)
         write_json(
             self.directory / "tuning.json", tuning_summary(self.settings.tuning, state, values, scores)

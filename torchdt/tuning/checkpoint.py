@@ -4,10 +4,31 @@ import dataclasses
 import os
 from collections.abc import Mapping
 
-from torchdt.checkpoint import load_checkpoint, not_a_checkpoint, save_checkpoint
+import torch
+from torch import Tensor
+
+from torchdt.checkpoint import load_checkpoint, require_like, save_checkpoint
+from torchdt.errors import InputError
 from torchdt.tuning.state import Record, TuningState
 
 KIND = "tune"
+
+STATE = {
+    **dict.fromkeys(("raw", "best", "good", "optimizer"), dict),
+    "best_heldout": float | None,
+    "stale": int,
+    "records": tuple,
+    "finished": bool,
+}
+RECORD = {
+    "step": int,
+    "values": dict,
+    "objective": float | None,
+    "gradient_norms": dict,
+    "heldout": float | None,
+    "skipped": int,
+    "passes": int,
+}
 
 
 def save_state(path: str | os.PathLike[str], fingerprint: Mapping[str, object], state: TuningState) -> None:
@@ -25,8 +46,37 @@ def load_state(path: str | os.PathLike[str], fingerprint: Mapping[str, object]) 
     fields = load_checkpoint(path, KIND, fingerprint)
     if fields is None:
         return None
-    try:
-        records = tuple(Record(**record) for record in fields["records"])
-        return TuningState(**{**fields, "records": records})
-    except (KeyError, TypeError) as error:
-        raise not_a_checkpoint(path, KIND) from error
+    require_like(path, fields, STATE)
+    for record in fields["records"]:
+        require_like(path, record, RECORD, "content.records")
+    if not fields["records"]:
+        raise InputError.of_path(path, "no records", "one for each step; another folder starts anew")
+    records = tuple(Record(**record) for record in fields["records"])
+    return TuningState(**{**fields, "records": records})
+
+
+def require_values(path: str | os.PathLike[str], state: TuningState, start: Mapping[str, Tensor]) -> None:
+    """Check that the values of a state are those that are tuned.
+
+    Args:
+        path: of its checkpoint, for the error.
+        state: to go on from.
+        start: unconstrained values of the hyperparameters by name.
+
+    Raises:
+        InputError: where names, shapes or types differ.
+    """
+    for name in ("raw", "best") + ("good",) * bool(state.good):
+        require_like(path, getattr(state, name), dict(start), f"content.{name}")
+    if state.optimizer:
+        moments = {
+            index: {"step": torch.zeros(()), "exp_avg": value, "exp_avg_sq": value}
+            for index, value in enumerate(start.values())
+        }
+        group = torch.optim.Adam(list(start.values())).state_dict()["param_groups"][0]
+        groups = [dict.fromkeys(group, object)]
+        require_like(path, state.optimizer, {"state": moments, "param_groups": groups}, "content.optimizer")
+        names = list(state.optimizer["param_groups"][0]["params"])
+        if names != list(moments):
+            expected = f"parameters {list(moments)}; another folder starts anew"
+            raise InputError.of_path(path, f"content.optimizer: parameters {names}"[:200], expected)
