@@ -5,11 +5,18 @@ import logging
 import pytest
 import torch
 
-from torchdt.field.build import line_array, plane_wave, spherical_wave
+from torchdt.errors import InputError
+from torchdt.field.build import line_array, plane_wave, spherical_wave, waveguide
 
 WIDE = [[0.0, 0.0, 0.0], [3.7, 0.0, 0.0], [0.0, 3.7, 0.0]]
 PLANE = {"freqs": [50.0], "sensor_positions": WIDE, "wave_speed": 340.0, "coordinates": "bearing"}
 SPHERE = {"freqs": [50.0], "sensor_positions": WIDE, "wave_speed": 340.0}
+GUIDE = {
+    "profile": [[0.0, 1450.0], [100.0, 1550.0]],
+    "layers": [],
+    "halfspace": {"speed": 1600.0, "density": 1.5, "attenuation": 0.1},
+    "max_phase_speed": 1599.0,
+}
 
 
 def test_plane_wave_takes_its_settings():
@@ -41,3 +48,28 @@ def test_wide_spacing_is_warned_of(caplog, target, values, speed):
     assert (
         f"3.7 m apart, more than half the wavelength of the highest tone, {speed / 100:.4g} m" in caplog.text
     )
+
+
+def test_waveguide_takes_the_mesh():
+    def respond(**mesh):
+        field = waveguide(**GUIDE, freqs=[300.0], element_depths=[20.0, 70.0], dtype=torch.float64, **mesh)
+        return field(torch.tensor([2000.0, 40.0], dtype=torch.float64))
+
+    torch.testing.assert_close(respond(points_per_wavelength=16.0), respond())
+    change = torch.linalg.vector_norm(respond(points_per_wavelength=32.0) - respond())
+    assert 1e-9 < change < 1e-2
+
+
+@pytest.mark.parametrize(
+    ("freqs", "mesh", "message"),
+    [
+        ([50.0, 10.0], 16.0, "key 'field': no mode at 10.0 Hz"),
+        ([300.0], 2.0, "key 'field': two meshes.*raise points_per_wavelength, now 2.0"),
+        ([50.0], 0.0, "key 'field': points_per_wavelength is 0.0"),
+        ([50.0], float("inf"), "key 'field': points_per_wavelength is inf"),
+        ([50.0], 1e9, "key 'field': points_per_wavelength is 1000000000.0"),
+    ],
+)
+def test_waveguide_without_modes_is_named(freqs, mesh, message):
+    with pytest.raises(InputError, match=message):
+        waveguide(**GUIDE, freqs=freqs, element_depths=[20.0], points_per_wavelength=mesh)

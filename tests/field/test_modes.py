@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.integrate import simpson
 from scipy.optimize import brentq
 
 from torchdt.field import Environment, HalfSpace, Layer, ModeSolverError, solve_modes
@@ -7,6 +8,7 @@ from torchdt.field.modes import _build_mesh, _solve_mesh
 
 DEPTH, SPEED, FREQ = 100.0, 1500.0, 200.0
 OMEGA = 2 * np.pi * FREQ
+NEAR = 503.0
 
 
 def over(halfspace):
@@ -85,6 +87,67 @@ def test_layers_and_halfspace_are_one_medium_when_their_figures_agree():
     one, two = solve_modes(over(half), FREQ), solve_modes(split, FREQ)
     np.testing.assert_allclose(two.wavenumber, one.wavenumber, atol=1e-6)
     np.testing.assert_allclose(two.attenuation, one.attenuation, rtol=1e-3)
+
+
+class Stack:
+    """Characteristic function of uniform layers over a half-space, from `psi` and `psi' / rho` going down."""
+
+    def __init__(self, environment, frequency):
+        self.omega, self.half = 2 * np.pi * frequency, environment.halfspace
+        tops = np.concatenate([[0.0, environment.water_depth], [x.bottom for x in environment.layers]])
+        speeds = [environment.profile[0][1], *(x.speed_top for x in environment.layers)]
+        densities = [1.0, *(x.density for x in environment.layers)]
+        self.layers = list(zip(np.diff(tops), speeds, densities, strict=True))
+
+    def __call__(self, k):
+        psi, flux, norm = np.zeros_like(k), np.ones_like(k), np.zeros_like(k)
+        for thickness, speed, density in self.layers:
+            kz = np.sqrt((self.omega / speed) ** 2 - k**2 + 0j)
+            z = np.linspace(0.0, thickness, 801)[:, None]
+            inside = (psi * np.cos(kz * z) + density * flux * np.sin(kz * z) / kz).real
+            norm = norm + simpson(inside**2, x=z[:, 0], axis=0) / density
+            flux = (flux * np.cos(kz * thickness) - psi * kz * np.sin(kz * thickness) / density).real
+            psi = inside[-1]
+        decay = np.sqrt(k**2 - (self.omega / self.half.speed) ** 2)
+        return flux + decay * psi / self.half.density, norm + psi**2 / (2 * decay * self.half.density)
+
+    def roots(self, max_phase_speed, num):
+        grid = np.linspace(self.omega / max_phase_speed, self.omega / SPEED * (1 - 1e-9), num)
+        values = np.concatenate([self(part)[0] for part in np.split(grid, 10)])
+        cells = np.flatnonzero(np.sign(values[:-1]) != np.sign(values[1:]))
+        find = [brentq(lambda k: self(np.array([k]))[0][0], *grid[[i, i + 1]], xtol=1e-12) for i in cells]
+        return np.array(find[::-1])
+
+
+def test_modes_of_almost_the_same_wavenumber():
+    """Modes of the water and of the sediment cross, and mix differently on every mesh."""
+    layers = (Layer(83.26, 1600.0, 1600.0, 1.7, 0.1), Layer(183.26, 1750.0, 1750.0, 1.9, 0.1))
+    environment = Environment(((0.0, SPEED), (75.76, SPEED)), layers, HalfSpace(2000.0, 2.0, 0.1))
+    stack = Stack(environment, NEAR)
+    expected = stack.roots(1800.0, 3000)
+    table = solve_modes(environment, NEAR, 1800.0)
+    np.testing.assert_allclose(table.wavenumber, expected, atol=2e-5)
+    fast = expected < 2 * np.pi * NEAR / 1750.0  # they cross, and decay in no layer: the recursion is stable
+    assert fast.sum() > 5
+    kz = np.sqrt((2 * np.pi * NEAR / SPEED) ** 2 - expected[fast] ** 2)
+    psi = np.sin(kz * table.depth[:, None]) / kz / np.sqrt(stack(expected[fast])[1])
+    sign = np.sign(np.sum(psi * table.psi[:, fast], axis=0))
+    np.testing.assert_allclose(sign * table.psi[:, fast], psi, atol=0.02 * np.abs(psi).max())
+
+
+@pytest.mark.parametrize("frequency", [10.0, 12.0])
+def test_cutoff_of_a_pekeris_guide(frequency):
+    """Below `c / (4 D sqrt(1 - (c / c_bottom)^2))`, 10.78 Hz, nothing is trapped."""
+    environment = over(HalfSpace(1600.0, 1.5, 0.0))
+    if frequency < SPEED / (4 * DEPTH * np.sqrt(1 - (SPEED / 1600.0) ** 2)):
+        with pytest.raises(ModeSolverError, match=r"no mode at 10.0 Hz.*cutoff of the waveguide.*1600.0 m/s"):
+            solve_modes(environment, frequency, 1599.9)
+    else:
+        expected = Stack(environment, frequency).roots(1599.9, 1000)
+        assert len(expected) == 1
+        np.testing.assert_allclose(
+            solve_modes(environment, frequency, 1599.9).wavenumber, expected, rtol=1e-6
+        )
 
 
 def test_mesh_error_is_small_at_the_highest_tone(swellex):

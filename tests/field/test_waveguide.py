@@ -150,6 +150,18 @@ def test_finite_outside_the_region(swellex, tones, sensors, normalize):
     assert (state.grad[outside, 1] == 0).all()
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, DOUBLE])
+def test_sensor_at_the_surface_hears_nothing(swellex, dtype):
+    state = torch.tensor([[2000.0, 50.0], [3000.0, 0.0]], dtype=dtype, requires_grad=True)
+    for depths in ((0.0, 50.0, 100.0), (0.0,)):
+        response = NormalModeField(swellex, (49.0, 112.0), depths, dtype=dtype)(state)
+        assert (response[..., 0] == 0).all()
+        norm = torch.linalg.vector_norm(response, dim=-1)
+        torch.testing.assert_close(norm, torch.full_like(norm, float(len(depths) > 1)))
+        (slope,) = torch.autograd.grad(response.abs().square().sum() + response.real.sum(), state)
+        assert slope.isfinite().all()
+
+
 def test_other_environment_gives_another_field(swellex, tones, sensors, field, states):
     changed = NormalModeField(swellex.perturbed(water_depth=218.0), tones, sensors, TILT)
     overlap = (changed(states).conj() * field(states)).sum(-1).abs()
@@ -162,7 +174,7 @@ def test_other_environment_gives_another_field(swellex, tones, sensors, field, s
         ((), (50.0,), "freqs is empty"),
         ((100.0,), (), "sensor_depths is"),
         ((100.0,), (50.0, 101.0), "sensor_depths is.*100"),
-        ((100.0,), (0.0,), "sensor_depths is"),
+        ((100.0,), (-0.1,), "sensor_depths is"),
         ((-100.0,), (50.0,), "frequency is -100"),
     ],
 )

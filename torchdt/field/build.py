@@ -14,6 +14,7 @@ import torch
 from torchdt.errors import InputError, require
 from torchdt.field.array import warn_of_aliasing
 from torchdt.field.environment import Environment, HalfSpace, Layer, combine_eofs
+from torchdt.field.modes import ModeSolverError
 from torchdt.field.plane_wave import LineArrayField, PlaneWaveField
 from torchdt.field.spherical_wave import SphericalWaveField
 from torchdt.field.waveguide import NormalModeField
@@ -66,6 +67,7 @@ def waveguide(
     tilt_deg: float = 0.0,
     normalize: bool = True,
     max_phase_speed: float = 1750.0,
+    points_per_wavelength: float = 16.0,
     eofs: Mapping[str, Any] | None = None,
     draw: EnvironmentDraw | Mapping[str, Any] | None = None,
     dtype: torch.dtype | None = None,
@@ -82,12 +84,13 @@ def waveguide(
         tilt_deg: of the array, degrees, positive towards the source.
         normalize: give each tone's response unit norm.
         max_phase_speed: of the modes kept, m/s.
+        points_per_wavelength: of the depth mesh of the mode solver; more where its message asks for more.
         eofs: sound-speed statistics, `depths` (Z,) m and `functions` (Z, E) m/s; needed for a draw only.
         draw: departure from this environment, or its values by name.
         dtype, device: of the field.
 
     Raises:
-        InputError: where the environment or the array does not make sense.
+        InputError: where the environment or the array does not make sense, or has no modes.
     """
     draw = as_draw(draw)
     if draw is not None and draw.eof_coefficients:
@@ -114,10 +117,11 @@ def waveguide(
             tilt_deg,
             normalize=normalize,
             max_phase_speed=max_phase_speed,
+            points_per_wavelength=points_per_wavelength,
             dtype=dtype,
             device=device,
         )
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, ModeSolverError) as error:
         raise InputError(f"key 'field': {error}") from error
 
 

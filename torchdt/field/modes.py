@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.linalg import LinAlgError, eigh_tridiagonal
+from scipy.linalg import LinAlgError, eigh, eigh_tridiagonal, svd
 
 from torchdt.field.environment import Environment
 
@@ -17,8 +17,9 @@ Array = NDArray[np.float64]
 # A mode is cut off where it has decayed by this many nepers below the seafloor; the false bottom there
 # changes its squared wavenumber by a relative exp(-2 * 15) = 1e-13.
 _DECAY_NEPERS = 15.0
-# Overlap of one mode on the two meshes below which they are not the same mode.
+# Share of a mode in the span of those of the other mesh below which the meshes do not have the same modes.
 _MIN_OVERLAP = 0.99
+_MAX_POINTS = 1000
 _NEPER_PER_DB = math.log(10.0) / 20.0
 
 
@@ -80,7 +81,8 @@ def solve_modes(
     `psi' / rho` continuous, on two meshes, the second with half the step, and extrapolates wavenumbers,
     attenuations and mode functions to step zero. Equation, scheme, extrapolation and the perturbation formula
     of the attenuation are those of Jensen, Kuperman, Porter and Schmidt, Computational Ocean Acoustics, 2nd
-    ed. 2011, ch. 5. Results are cached.
+    ed. 2011, ch. 5. Extrapolated is the operator within the span of all modes, since modes of almost the same
+    wavenumber mix differently on each mesh while their span does not. Results are cached.
 
     Args:
         environment: the waveguide.
@@ -91,9 +93,9 @@ def solve_modes(
         grid_step: largest step of the depth grid of the result, m.
 
     Raises:
-        ValueError: if an argument is not positive or `max_phase_speed` is too high.
-        ModeSolverError: if there is no mode below `max_phase_speed`, if the eigenvalue solver fails, or if
-            the two meshes disagree.
+        ValueError: if an argument is not positive, or `max_phase_speed` or `points_per_wavelength` too high.
+        ModeSolverError: if there is no mode below `max_phase_speed`, as below the cutoff of the waveguide, if
+            the eigenvalue solver fails, or if the two meshes disagree.
     """
     for name, value in (
         ("frequency", frequency),
@@ -103,6 +105,11 @@ def solve_modes(
     ):
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"{name} is {value}; expected a positive number")
+    if points_per_wavelength > _MAX_POINTS:
+        raise ValueError(
+            f"points_per_wavelength is {points_per_wavelength}; expected {_MAX_POINTS} or fewer, "
+            "for the memory of the mesh"
+        )
     if max_phase_speed >= environment.halfspace.speed:
         raise ValueError(
             f"max_phase_speed is {max_phase_speed}; expected less than the speed of the half-space, "
@@ -115,18 +122,27 @@ def solve_modes(
     # A mode right at the limit may be there on one mesh only.
     n = min(len(k2_coarse), len(k2_fine))
     if n == 0:
-        raise ModeSolverError(f"no mode with a phase speed below {max_phase_speed} m/s at {frequency} Hz")
-    psi_coarse, psi_fine = psi_coarse[:, :n], psi_fine[::2, :n]
-    weight = _lump(coarse.size / (2 * coarse.density), coarse.size / (2 * coarse.density))
-    overlap = weight @ (psi_coarse * psi_fine)
-    if np.abs(overlap).min() < _MIN_OVERLAP:
         raise ModeSolverError(
-            f"two meshes give different modes at {frequency} Hz (overlap {np.abs(overlap).min():.3f}, "
+            f"no mode at {frequency} Hz with a phase speed below max_phase_speed, {max_phase_speed} m/s: the "
+            "frequency is below the cutoff of the waveguide; leave it out, or raise max_phase_speed towards "
+            f"the speed of the half-space, {environment.halfspace.speed} m/s"
+        )
+    psi_coarse, psi_fine = psi_coarse[:, :n], psi_fine[::2, :n]
+    half_mass = coarse.size / (2 * coarse.density)
+    left, overlap, right = svd((psi_coarse.T * _lump(half_mass, half_mass)) @ psi_fine)
+    if overlap.min() < _MIN_OVERLAP:
+        raise ModeSolverError(
+            f"two meshes give different modes at {frequency} Hz (overlap {overlap.min():.3f}, "
             f"expected above {_MIN_OVERLAP}); raise points_per_wavelength, now {points_per_wavelength}"
         )
-    wavenumber = np.sqrt(_extrapolate(k2_coarse[:n], k2_fine[:n]))
-    attenuation = _extrapolate(loss_coarse[:n], loss_fine[:n]) / wavenumber
-    psi = _extrapolate(psi_coarse * np.sign(overlap), psi_fine)
+    turn = left @ right  # of the coarse modes, to be most like the fine ones
+    operator = _extrapolate((turn.T * k2_coarse[:n]) @ turn, np.diag(k2_fine[:n]))
+    k2, mix = eigh(operator)
+    k2, mix = k2[::-1], mix[:, ::-1]
+    wavenumber = np.sqrt(k2)
+    loss = _extrapolate(turn.T @ loss_coarse[:n, :n] @ turn, loss_fine[:n, :n])
+    attenuation = np.einsum("in,ij,jn->n", mix, loss, mix) / wavenumber
+    psi = _extrapolate(psi_coarse @ turn, psi_fine) @ mix
 
     nodes = np.concatenate([[0.0], np.cumsum(coarse.size)])
     in_water = nodes < environment.water_depth + coarse.size.min() / 2
@@ -183,7 +199,7 @@ def _build_mesh(
 
 
 def _solve_mesh(mesh: _Mesh, frequency: float, max_phase_speed: float) -> tuple[Array, Array, Array]:
-    """Squared wavenumbers `(N,)`, `k * attenuation` `(N,)`, mode functions `(E + 1, N)` on the nodes.
+    """Squared wavenumbers `(N,)`, `k * attenuation` `(N, N)`, mode functions `(E + 1, N)` on the nodes.
 
     The scheme is the flux balance of the half elements on the two sides of a node. It is symmetrised by the
     square root of the mass `integral dz / rho` around the node.
@@ -211,7 +227,7 @@ def _solve_mesh(mesh: _Mesh, frequency: float, max_phase_speed: float) -> tuple[
         half_mass * mesh.attenuation * omega / mesh.speed_top,
         half_mass * mesh.attenuation * omega / mesh.speed_bottom,
     )
-    return k2, loss @ psi**2, psi
+    return k2, (psi.T * loss) @ psi, psi
 
 
 def _lump(at_top: Array, at_bottom: Array) -> Array:

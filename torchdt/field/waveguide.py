@@ -37,11 +37,12 @@ class NormalModeField(nn.Module):
     Args:
         environment: the waveguide.
         freqs: `(I,)` tones, Hz.
-        sensor_depths: `(M,)` depths of the sensors, m, in the water.
+        sensor_depths: `(M,)` depths of the sensors, m, in the water; one at the surface hears nothing.
         tilt: degrees. A number is folded into the receivers once; a tensor (say, a parameter to be learnt) at
             every call, and the response is differentiable in it.
         normalize: give each tone's response unit norm over the sensors.
         max_phase_speed: modes of a higher phase speed are left out, m/s, see `solve_modes`.
+        points_per_wavelength: of the depth mesh on which the modes are computed, see `solve_modes`.
         device: of the buffers, and so of the states.
         dtype: real type of the buffers, and so of the states.
 
@@ -67,6 +68,7 @@ class NormalModeField(nn.Module):
         *,
         normalize: bool = True,
         max_phase_speed: float = 1750.0,
+        points_per_wavelength: float = 16.0,
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> None:
@@ -74,9 +76,9 @@ class NormalModeField(nn.Module):
         bottom = environment.water_depth
         if len(freqs) == 0:
             raise ValueError("freqs is empty; expected one frequency or more")
-        if len(sensor_depths) == 0 or min(sensor_depths) <= 0 or max(sensor_depths) > bottom:
+        if len(sensor_depths) == 0 or min(sensor_depths) < 0 or max(sensor_depths) > bottom:
             raise ValueError(
-                f"sensor_depths is {tuple(sensor_depths)}; expected one or more depths in (0, {bottom}]"
+                f"sensor_depths is {tuple(sensor_depths)}; expected one or more depths in [0, {bottom}]"
             )
         self.num_tones = len(freqs)
         self.num_sensors = len(sensor_depths)
@@ -84,7 +86,7 @@ class NormalModeField(nn.Module):
         self.water_depth: float | Tensor = bottom
         self.tilt = tilt
 
-        tables = [solve_modes(environment, float(f), max_phase_speed) for f in freqs]
+        tables = [solve_modes(environment, float(f), max_phase_speed, points_per_wavelength) for f in freqs]
         self.mode_counts = [len(table.wavenumber) for table in tables]
         wavenumber, loss = (
             torch.cat([torch.tensor(getattr(table, name), device=device) for table in tables])
