@@ -248,21 +248,65 @@ def test_a_chunk_has_its_own_part_of_the_dictionary_alone(five, own_fields, monk
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_breakdown_names_the_sequences_of_its_chunk(five, workers):
+def test_a_breakdown_is_named_by_its_place_in_the_whole_batch(five, workers, caplog):
     class Broken(DirectTracker):
         def step(self, state, measurement, priors, streams):
-            if len(measurement.factor) == 2 and (measurement.factor[:, 0, 0, 0] == POISON).any():
+            if (measurement.factor[:, 0, 0, 0] == POISON).any():
                 raise NumericalError("covariance: not positive definite")
             return super().step(state, measurement, priors, streams)
 
         def prepare(self, recording):
             prepared = super().prepare(recording)
-            prepared.measurement.factor[recording.data[:, 0, 0, 0, 0] == five.data[3, 0, 0, 0, 0]] = POISON
+            bad = recording.data[:, 0, 0, 0, 0] == five.data[3, 0, 0, 0, 0]
+            prepared.measurement.factor[bad, 2] = POISON
             return prepared
 
     tracker = Broken(make_tracker().field, make_tracker().region, 1.0, make_tracker().config)
-    with pytest.raises(NumericalError, match=r"^sequences 3-4: covariance: not positive definite$"):
-        track(five, tracker, SEEDS, memory_gb=gigabytes(tracker, five, 2 * workers), workers=workers)
+    with caplog.at_level("WARNING", "torchdt"):
+        history = track(
+            five, tracker, SEEDS, memory_gb=gigabytes(tracker, five, 2 * workers), workers=workers
+        )
+    assert "sequence 3, step 2 broke down and counts as missing: covariance: not" in caplog.text
+    assert history.failed.nonzero().tolist() == [[3, 2]]
+
+
+def between_extremes(case: str) -> Recording:
+    """Two sources without noise for ten steps, and what `case` makes of them."""
+    rng = torch.Generator().manual_seed(1)
+    field = LineArrayField(FREQS, POSITIONS, 1500.0, dtype=torch.float64)
+    at = torch.tensor([[-40.0, 0.0], [25.0, 0.0]], dtype=torch.float64)
+    response = field(at).movedim(0, -2)  # I, 2, M
+
+    def normal(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, dtype=torch.complex128, generator=rng)
+
+    data = normal(10, 2, 3, 2) @ response
+    noise = normal(*data.shape)
+    if case == "60 dB":
+        return record((data + 1e-3 * noise)[None])
+    if case == "no noise":
+        return record(data[None])
+    if case == "rank one":
+        one = data[:, :, :1]
+        return validate(step_s=1.0, covariance=(one.mT @ one.conj())[None], num_snapshots=3)
+    data = data + 0.1 * noise
+    if case == "a loud step":
+        data[6] *= 1e4
+    else:
+        data[5:] = 0
+    return record(data[None])
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("case", ["60 dB", "no noise", "rank one", "a loud step", "zeros at the end"])
+def test_level_differences_that_the_precision_can_bear(case, dtype):
+    """None of them breaks down, and both sources are found where they can be."""
+    history = track(between_extremes(case), make_tracker(dtype), [1])
+    assert not history.failed.any()
+    assert all(part.isfinite().all() for part in history if part.is_floating_point())
+    assert history.declared[0, 4].sum() == 2
+    if case != "zeros at the end":
+        assert history.declared[0, -1].sum() == 2
 
 
 def test_estimates_are_made_in_inference_mode_and_without_gradient(five):

@@ -48,7 +48,7 @@ def bytes_per_sequence(tracker: Tracker[Any], recording: Recording) -> int:
     else:
         work = dictionary
     own = 2 * dictionary if isinstance(tracker.field, StackedField) else 0
-    estimates = K * (config.slots * (4 * region.num_coordinates + num_tones + 4) + num_tones + 1)
+    estimates = K * (config.slots * (4 * region.num_coordinates + num_tones + 4) + num_tones + 2)
     data = recording.data[0].numel() * torch.complex128.itemsize
     return (work + own + 2 * estimates) * region.low.dtype.itemsize + 3 * data
 

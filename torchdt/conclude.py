@@ -52,6 +52,7 @@ def conclude(
         power=objects.mean_power,
         noise=beliefs.noise.mean,
         effective_sample_size=effective_sample_size(objects.log_weight),
+        failed=torch.zeros_like(log_evidence, dtype=torch.bool),
         log_evidence=log_evidence,
     )
     return objects._replace(label=label), next_label, estimate

@@ -21,6 +21,7 @@ class TrackHistory(NamedTuple):
         power: `(*batch, K, N, I)` MMSE transmit power per tone, in squared units of the data.
         noise: `(*batch, K, I)` MMSE noise variance per tone, in squared units of the data.
         effective_sample_size: `(*batch, K, N)` of the state particles, in particles.
+        failed: `(*batch, K)` bool, the tracker broke down and the step counts as missing.
         log_evidence: `(*batch, K)` log p(z_k | z_1..k-1), natural logarithm.
     """
 
@@ -32,6 +33,7 @@ class TrackHistory(NamedTuple):
     power: Tensor
     noise: Tensor
     effective_sample_size: Tensor
+    failed: Tensor
     log_evidence: Tensor
 
     @property

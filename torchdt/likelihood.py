@@ -5,6 +5,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torchdt.errors import require
+from torchdt.linalg import BREAKDOWN, NumericalError
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
 from torchdt.random import RandomStreams
@@ -43,7 +44,7 @@ def log_likelihood(
 
     Raises:
         InputError: where `block` or `truncate` is not a positive integer.
-        NumericalError: where the filter broke down.
+        NumericalError: where the filter broke down, naming the step and the place in the batch.
     """
     for name, value in (("block", block), ("truncate", truncate)):
         require(value is None or value >= 1, name, value, "a positive integer or None")
@@ -84,7 +85,10 @@ class _Segment:
     def __call__(self, state: TrackerState) -> tuple[TrackerState, Tensor]:
         streams, parts = self.streams.at(self.began), []
         for k in self.steps:
-            state, estimate = self.tracker.step(state, self.measurement.at(k), self.priors, streams)
+            try:
+                state, estimate = self.tracker.step(state, self.measurement.at(k), self.priors, streams)
+            except BREAKDOWN as error:
+                raise NumericalError(f"step {k}: {error}") from error
             parts.append(estimate.log_evidence)
         self.ended = streams.snapshot()
         return state, torch.stack(parts, -1)

@@ -8,6 +8,10 @@ class NumericalError(ArithmeticError):
     """A quantity left the range in which the algorithm makes sense."""
 
 
+BREAKDOWN = (NumericalError, torch.linalg.LinAlgError)
+"""What is raised where numbers break down, here and in PyTorch."""
+
+
 def cholesky(matrix: Tensor, name: str) -> Tensor:
     """Lower Cholesky factor of a Hermitian matrix, `(*batch, M, M)`.
 

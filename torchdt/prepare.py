@@ -61,6 +61,10 @@ def prepare(
     is_covariance = recording.covariance is not None
     count = None if config is None else config.effective_count
     require(is_covariance or count is None, "tracker.effective_count", count, "null: the data are snapshots")
+    least = field.num_sensors - 1
+    require(
+        count is None or count > least, "tracker.effective_count", count, f"above {least} with these sensors"
+    )
     scale = data_scale(data, is_covariance)
     for value in scale[(scale <= 1 / LARGEST) | (scale >= LARGEST)].tolist()[:1]:
         expected = f"one from {1 / LARGEST:g} to {LARGEST:g}, whose square double precision can hold"

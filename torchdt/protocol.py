@@ -1,10 +1,11 @@
 """What every tracker offers."""
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Generic, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
 import torch
 
+from torchdt.breakdown import step_or_miss
 from torchdt.config import ObjectConfig
 from torchdt.detect.dictionary import Dictionary
 from torchdt.field.base import Field
@@ -16,7 +17,7 @@ from torchdt.prepare import Prepared
 from torchdt.random import RandomStreams
 from torchdt.scenario.recording import Recording
 
-State = TypeVar("State")
+State = TypeVar("State", bound=tuple[Any, ...])
 
 
 class Past(NamedTuple, Generic[State]):
@@ -81,6 +82,8 @@ class Tracker(Protocol[State]):
     ) -> Iterator[TrackHistory]:
         """Track data as they arrive: only the belief after the last step is kept.
 
+        Steps that break down count as missing, see `step_or_miss`.
+
         For tracking without gradients, take the estimates under `torch.inference_mode()`.
 
         Args:
@@ -92,8 +95,8 @@ class Tracker(Protocol[State]):
             The estimates of each step: a `TrackHistory` without its time dimension.
         """
         state = self.init(priors)
-        for measurement in measurements:
-            state, estimate = self.step(state, measurement, priors, streams)
+        for step, measurement in enumerate(measurements):
+            state, estimate = step_or_miss(self, state, measurement, priors, streams, step)
             yield estimate
 
     def run(
@@ -103,8 +106,9 @@ class Tracker(Protocol[State]):
         streams: RandomStreams,
         on_step: Callable[[int, State, TrackHistory], None] | None = None,
         past: Past[State] | None = None,
+        first: int = 0,
     ) -> TrackHistory:
-        """Track whole sequences.
+        """Track whole sequences. Steps that break down count as missing, see `step_or_miss`.
 
         Args:
             measurement: statistics of batch `(*batch, K)`.
@@ -112,6 +116,7 @@ class Tracker(Protocol[State]):
             streams: random numbers of batch `(*batch,)`.
             on_step: called after each step with its index, the state, and the estimates of that step.
             past: what was done of these sequences, to go on from; the streams are where that ended.
+            first: number of the first sequence, for messages.
 
         Returns:
             History of batch `(*batch,)` and K steps, those of the past among them.
@@ -119,7 +124,7 @@ class Tracker(Protocol[State]):
         batch_dims = priors.noise_max.ndim - 1
         state, steps = (self.init(priors), []) if past is None else (past.state, past.steps(batch_dims))
         for k in range(len(steps), measurement.num_snapshots.shape[batch_dims]):
-            state, estimate = self.step(state, measurement.at(k), priors, streams)
+            state, estimate = step_or_miss(self, state, measurement.at(k), priors, streams, k, first)
             steps.append(estimate)
             if on_step is not None:
                 on_step(k, state, estimate)

@@ -1,6 +1,6 @@
 """Rows of tensors and of tuples of tensors: one slot of every sequence, or some sequences of a batch."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
 import torch
@@ -63,6 +63,15 @@ def put_sequences(tree: Tree, rows: Tensor, part: Tree) -> Tree:
         return old if old is None else put_sequences(old, rows, new)
 
     return _rebuild(tree, (put_one(old, new) for old, new in zip(tree, part, strict=True)))
+
+
+def join_sequences(trees: Sequence[Tree]) -> Tree:
+    """(Nested) tuples of tensors `(B', ...)` one after another, `(B, ...)`."""
+    parts = (
+        torch.cat(part) if isinstance(part[0], Tensor) else join_sequences(part)
+        for part in zip(*trees, strict=True)
+    )
+    return _rebuild(trees[0], parts)
 
 
 def _rebuild(tree: Tree, parts: Iterable[Any]) -> Tree:

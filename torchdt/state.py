@@ -52,6 +52,10 @@ class Noise(NamedTuple):
         """E[eta] of each tone, `(*batch, I)`."""
         return weighted_mean(self.variance, self.log_weight)
 
+    def above(self, least: Tensor) -> "Noise":
+        """The same belief with no support point below `(*batch, I)` values."""
+        return self._replace(variance=torch.maximum(self.variance, least[..., None]))
+
 
 class TrackerState(NamedTuple):
     """Everything a tracker needs to go on.

@@ -22,7 +22,7 @@ from torchdt.model.birth import birth_log_odds, log_no_birth
 from torchdt.model.gamma_chain import predict_chain, predicted_uniform_prior, uniform_prior
 from torchdt.model.measurement import Measurement
 from torchdt.model.parameters import Parameters, checked, default_parameters, widen
-from torchdt.model.prior import Priors
+from torchdt.model.prior import Priors, resolvable_noise
 from torchdt.model.region import Region
 from torchdt.model.wishart import log_normaliser
 from torchdt.placement import Placer
@@ -147,8 +147,11 @@ class DirectTracker(Tracker[TrackerState]):
         if count is not None:
             measurement = given.recounted(widen(count, 1))
         tempered = measurement.tempered(widen(parameters.likelihood_power, 1))
-        predicted = self.predict(state, draws.driving)
-        noise, born = state.noise, birth_log_odds(parameters.birth_mean, self.region.num_cells)
+        # Noise that the numbers of this step cannot resolve is as good as the least that they can. The belief
+        # that goes on keeps its support points.
+        noise = state.noise.above(resolvable_noise(measurement, priors))
+        predicted = self.predict(state._replace(noise=noise), draws.driving)
+        born = birth_log_odds(parameters.birth_mean, self.region.num_cells)
         placer = Placer(self.field, self.region, self.dictionary, cfg, born)
         current = placer.place(predicted, noise, tempered, priors, draws.known, draws.newborn, draws.picks)
         beliefs = update(
@@ -167,7 +170,7 @@ class DirectTracker(Tracker[TrackerState]):
         if cfg.proposal == "prior":
             objects = resample(objects, cfg, streams)
         chain = predict_chain(
-            beliefs.noise.variance, beliefs.noise.log_weight, widen(parameters.noise_shape, 1)
+            state.noise.variance, beliefs.noise.log_weight, widen(parameters.noise_shape, 1)
         )
         return TrackerState(empty_slots(objects, self._idle), Noise(*chain), next_label), estimate
 

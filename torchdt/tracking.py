@@ -57,7 +57,7 @@ def track(
     Raises:
         InputError: where the recording does not fit the field, there is not one seed for each sequence,
             `memory_gb` or `workers` is not positive, or what was kept is of another run.
-        NumericalError: where the filter broke down, naming the sequences of the chunk.
+        NumericalError: where the filter broke down even without the data of a step, naming it.
         StorageError: where what is done cannot be kept.
     """
     number = recording.batch_size
@@ -79,7 +79,9 @@ def track(
                 on_step(step, state, estimate, sequences)
 
         some = recording.select(sequences), tracker.select(sequences), seeds[sequences]
-        return _track_chunk(*some, report, None if keep is None else partial(keep.of_chunk, sequences))
+        return _track_chunk(
+            *some, sequences.start, report, None if keep is None else partial(keep.of_chunk, sequences)
+        )
 
     parts = run_chunks(track_some, chunks, workers)
     return TrackHistory(*(torch.cat(fields) for fields in zip(*parts, strict=True)))
@@ -89,6 +91,7 @@ def _track_chunk(
     recording: Recording,
     tracker: Tracker[Any],
     seeds: Sequence[int],
+    first: int,
     on_step: Callable[[int, Any, TrackHistory], None],
     keep: Callable[[RandomStreams, int], ChunkKeeper] | None,
 ) -> TrackHistory:
@@ -118,7 +121,7 @@ def _track_chunk(
         if past is not None:
             done = past.steps(1)
             report(len(done) - 1, past.state, done[-1])
-        history = tracker.run(prepared.measurement, prepared.priors, streams, report_and_keep, past)
+        history = tracker.run(prepared.measurement, prepared.priors, streams, report_and_keep, past, first)
     return units.of(history)
 
 

@@ -160,3 +160,18 @@ def test_an_indefinite_covariance_is_named(snapshots, covariance):
     covariance[2, 1] -= 50 * torch.eye(SENSORS)
     with pytest.raises(NumericalError, match=r"measurement covariance: .*\(2, 1\)"):
         gaussian_log_likelihood(from_snapshots(snapshots), covariance)
+
+
+@pytest.mark.parametrize("dtype", [torch.complex64, torch.complex128])
+def test_noise_below_the_rounding_of_the_signal_counts_as_that(dtype):
+    """Sums of responses without any noise can be factorised; noise above their rounding is left as it is."""
+    rng = torch.Generator().manual_seed(1)
+    response = torch.randn(200, 2, 8, 3, dtype=dtype, generator=rng)
+    signal, present = response @ response.mH, torch.ones(200, 2, 8, dtype=dtype.to_real())
+    silent = torch.zeros(200, 2, dtype=dtype.to_real())
+    assert (
+        torch.linalg.cholesky_ex(mask_covariance(signal, silent, present).to(torch.complex128))[1].eq(0).all()
+    )
+    loud = torch.full_like(silent, 1e-4)
+    eye = torch.eye(8, dtype=dtype)
+    torch.testing.assert_close(mask_covariance(signal, loud, present), signal + 1e-4 * eye, rtol=0, atol=0)

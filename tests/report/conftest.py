@@ -46,6 +46,7 @@ def history():
         power=torch.tensor([10.0, 1000.0]).expand(B, K, N, I).clone(),
         noise=torch.tensor([1.0, 0.01]).expand(B, K, I).clone(),
         effective_sample_size=torch.full((B, K, N), 80.0),
+        failed=torch.zeros(B, K, dtype=torch.bool),
         log_evidence=torch.tensor([[-1.5], [-2.5]]).expand(B, K).clone(),
     )
 

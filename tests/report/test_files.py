@@ -76,6 +76,7 @@ def test_tracks_csv_without_objects(tmp_path, history, times):
 
 def test_metrics_json(tmp_path, history, score):
     path = tmp_path / "metrics.json"
+    history.failed[1, 2:4] = True
     files.write_json(path, files.metrics_summary("direct", history, score, seed=5, seconds=2.0))
     assert json.loads(path.read_text()) == {
         "tracker": "direct",
@@ -83,6 +84,7 @@ def test_metrics_json(tmp_path, history, score):
         "num_runs": 2,
         "seed": 5,
         "log_likelihood": -12.0,
+        "failed_steps": 2,
         "seconds": 2.0,
         "steps_per_second": 6.0,
         "gospa": {

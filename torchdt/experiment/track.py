@@ -89,6 +89,8 @@ def run_track(config: DictConfig) -> float | None:
         print_summary(
             plain_console(), history, score, seconds, title=f"tracker {name}, {settings.scenario.name}"
         )
+    if failed := int(history.failed.sum()):
+        log.warning("%d of %d steps broke down and count as missing", failed, history.failed.numel())
     quality = "no truth to score" if value is None else f"mean GOSPA {value:.3g}"
     log.info(
         "%d steps in %.1f s, %s, results in %s",

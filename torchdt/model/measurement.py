@@ -8,6 +8,9 @@ from torch import Tensor
 
 from torchdt.linalg import cholesky
 
+ROUNDING = 4.0
+"""Relative error of a covariance that is a sum of responses, in units of the rounding error of one number."""
+
 
 class Measurement(NamedTuple):
     """Sufficient statistics of the snapshots of one or more time steps.
@@ -42,6 +45,10 @@ class Measurement(NamedTuple):
         return Measurement(
             self.factor.unsqueeze(-4), self.num_snapshots.unsqueeze(-2), self.present.unsqueeze(-3)
         )
+
+    def silent(self) -> "Measurement":
+        """Statistics of the same shape without any data."""
+        return Measurement(*(torch.zeros_like(part) for part in self))
 
     def tempered(self, power: Tensor | float) -> "Measurement":
         """Raise the likelihood to a power: an effective number of `power * J` snapshots.
@@ -120,13 +127,16 @@ def gaussian_log_likelihood(measurement: Measurement, covariance: Tensor) -> Ten
     Raises:
         NumericalError: where C is not positive definite.
     """
-    lower = cholesky(covariance, "measurement covariance")
+    # Signals far above the noise make C ill-conditioned: in double, as all factorisations of it are.
+    factor = measurement.factor
+    lower = cholesky(covariance.to(torch.complex128), "measurement covariance")
     present = measurement.present
     log_diagonal = lower.diagonal(dim1=-2, dim2=-1).real.log()
     log_det = 2 * (present * log_diagonal).sum(-1)
-    whitened = torch.linalg.solve_triangular(lower, measurement.factor, upper=False)
+    whitened = torch.linalg.solve_triangular(lower, factor.to(lower.dtype), upper=False)
     misfit = whitened.abs().square().sum((-2, -1))
-    return -measurement.num_snapshots * (present.sum(-1) * math.log(math.pi) + log_det) - misfit
+    value = -measurement.num_snapshots * (present.sum(-1) * math.log(math.pi) + log_det) - misfit
+    return value.to(factor.real.dtype)
 
 
 def low_rank_log_likelihood(measurement: Measurement, columns: Tensor, noise: Tensor) -> Tensor:
@@ -161,6 +171,9 @@ def low_rank_log_likelihood(measurement: Measurement, columns: Tensor, noise: Te
 def mask_covariance(signal: Tensor, noise: Tensor, present: Tensor) -> Tensor:
     """`C = signal + eta I` with the rows and columns of missing sensors removed from the signal part.
 
+    A sum of responses in floating point is known to `eps tr(signal)`, and what is subtracted by rounding must
+    not make C indefinite: noise below a few times that counts as so much.
+
     Args:
         signal: `(*batch, I, M, M)` complex.
         noise: `(*batch, I)` real variance eta.
@@ -168,4 +181,6 @@ def mask_covariance(signal: Tensor, noise: Tensor, present: Tensor) -> Tensor:
     """
     masked = signal * (present[..., :, None] * present[..., None, :])
     eye = torch.eye(signal.shape[-1], dtype=signal.dtype, device=signal.device)
-    return masked + noise[..., None, None] * eye
+    trace = masked.detach().diagonal(dim1=-2, dim2=-1).real.sum(-1)
+    level = torch.maximum(noise, ROUNDING * torch.finfo(noise.dtype).eps * trace)
+    return masked + level[..., None, None] * eye

@@ -68,3 +68,17 @@ def data_priors(measurement: Measurement) -> Priors:
     tiny = torch.finfo(power.dtype).eps
     # A tone that was never heard has no influence; any positive limit serves.
     return Priors(power.nan_to_num(nan=1.0).clamp_min(tiny), noise.nan_to_num(nan=1.0).clamp_min(tiny))
+
+
+def resolvable_noise(measurement: Measurement, priors: Priors) -> Tensor:
+    """Noise variance below which numbers of this precision cannot tell it from rounding, `(*batch, I)`.
+
+    What was received is known to its rounding error, and so is what objects explain of it: `eps` times the
+    energy per snapshot of the step. In silence, it is that of the usual energy of a sensor.
+
+    Args:
+        measurement: statistics of one step, batch `(*batch,)`.
+        priors: limits of the priors.
+    """
+    usual = priors.noise_max.detach()
+    return torch.finfo(usual.dtype).eps * torch.maximum(measurement.energy.detach().to(usual), usual)

@@ -121,6 +121,7 @@ class PointTracker:
             power=objects.power,
             noise=points.noise,
             effective_sample_size=effective_sample_size(objects.log_weight),
+            failed=torch.zeros_like(points.noise[..., 0], dtype=torch.bool),
             log_evidence=torch.full_like(points.noise[..., 0], torch.nan),
         )
         particles, log_weight = resample_particles(objects.particles, objects.log_weight, offset, jitter, cfg)

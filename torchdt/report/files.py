@@ -136,9 +136,10 @@ def metrics_summary(
         seconds: wall-clock time of the tracking alone.
 
     Returns:
-        `num_steps` is K and `num_runs` B; `steps_per_second` counts the steps of all runs; `log_likelihood`
-        is the sum over the steps, averaged over the runs, and NaN, in JSON null, where the tracker does not
-        know it; `gospa` holds averages over runs and steps, or is None.
+        `num_steps` is K and `num_runs` B; `failed_steps` of all runs broke down and count as missing;
+        `steps_per_second` counts the steps of all runs; `log_likelihood` is the sum over the steps,
+        averaged over the runs, and NaN, in JSON null, where the tracker does not know it; `gospa` holds
+        averages over runs and steps, or is None.
     """
     num_runs, num_steps = history.log_evidence.shape
     return {
@@ -147,6 +148,7 @@ def metrics_summary(
         "num_runs": num_runs,
         "seed": seed,
         "log_likelihood": history.log_evidence.double().sum(-1).mean().item(),
+        "failed_steps": int(history.failed.sum()),
         "seconds": seconds,
         "steps_per_second": num_runs * num_steps / seconds if seconds > 0 else None,
         "gospa": None

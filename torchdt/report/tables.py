@@ -37,6 +37,8 @@ def print_summary(
     speed = f"{num_runs * num_steps / seconds:.3g} steps/s" if seconds > 0 else "speed unknown"
     runs = "1 run" if num_runs == 1 else f"{num_runs} runs"
     caption = f"{runs} of {num_steps} steps in {seconds:.1f} s: {speed}"
+    failed = int(history.failed.sum())
+    caption += f"; {failed} broke down and count as missing" if failed else ""
     table = Table(title=title, caption=caption, caption_justify="left")
     table.add_column("run", justify="right")
     for name in columns:

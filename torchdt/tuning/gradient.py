@@ -8,9 +8,10 @@ from torch import Tensor
 from torch.nn.utils import clip_grad_norm_
 
 from torchdt.errors import InputError
+from torchdt.linalg import BREAKDOWN
 from torchdt.model.hyperparameters import Hyperparameters
 from torchdt.tuning.config import TuningConfig
-from torchdt.tuning.objective import BREAKDOWN, Objective, evaluate, value_of
+from torchdt.tuning.objective import Objective, evaluate, value_of
 from torchdt.tuning.state import Record, TuningState, initial_state, note_heldout, raw_values, set_raw
 
 PASSES_OF_GRADIENT = 3

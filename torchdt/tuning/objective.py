@@ -6,11 +6,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from torchdt.linalg import NumericalError
+from torchdt.linalg import BREAKDOWN
 from torchdt.model.hyperparameters import Hyperparameters
-
-# What a filter that breaks down raises: its own checks, and the decompositions of PyTorch.
-BREAKDOWN = (NumericalError, torch.linalg.LinAlgError)
 
 
 class Objective(Protocol):
