@@ -209,7 +209,7 @@ class DirectTracker(Tracker[TrackerState]):
         else:
             known = predicted.objects.log_odds.shape[-1]
             new_odds = current.objects.log_odds[..., known:]
-            # New objects are born in cells of their own, and change places with no other.
+            # New objects are born in places of their own, and change them with no other.
             pairs = pad(exchangeable(predicted, self.region.num_coordinates), (0, new_odds.shape[-1]) * 2)
             components = labellings(current.objects, current.response, measurement, beliefs, pairs)
             chosen = draws.pick(known, self.config.slots, new_odds.shape[-1])

@@ -27,6 +27,7 @@ from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask
 from torchdt.model.region import Region
 from torchdt.particles.adaptive import Box, adapt
 from torchdt.proposal.moved import Draws, respond
+from torchdt.proposal.neighbourhood import cell_around, drop_foreign, grow, log_cells
 from torchdt.state import Noise, Objects, weighted_mean
 
 UNSETTLED = 0.25
@@ -166,10 +167,11 @@ def propose_newborn(
     *,
     adapted: bool = True,
 ) -> tuple[Objects, Tensor]:
-    """New objects in one cell around each pick, with particles where prior and likelihood meet.
+    """New objects around the picks, with particles where prior and likelihood meet.
 
-    The prior is uniform in position over the cell and in the rates; positions come from a proposal
-    fitted to prior times likelihood, given the other picks, and are weighted by prior over proposal.
+    The prior is uniform in the rates and, in position, over a box around the pick, see
+    `torchdt.proposal.neighbourhood`; positions come from a proposal fitted to prior times likelihood, given
+    the other picks, and are weighted by prior over proposal.
 
     Args:
         signal: `(*batch, I, M, M)` covariance of the known objects.
@@ -178,11 +180,11 @@ def propose_newborn(
         power_points: number G of their support points.
         log_odds: `(*batch,)`, prior log-odds of an object in one cell.
         draws: at least as many as picks.
-        adapted: fit the proposal to the likelihood; else particles are drawn from the prior.
+        adapted: fit box and proposal to the likelihood; else particles are uniform in one cell.
 
     Returns:
-        Objects of batch `(*batch, Q)` (log-odds minus infinity where a pick is inactive) and their
-        responses `(*batch, Q, I, P, M)`.
+        Objects of batch `(*batch, Q)` (log-odds minus infinity where a pick is inactive), whose weights add
+        up to the number of cells that their boxes are worth, and their responses `(*batch, Q, I, P, M)`.
     """
     num = picks.active.shape[-1]
     rounds, final = draws.rounds[..., :num, :, :, :], draws.final[..., :num, :, :]
@@ -193,20 +195,24 @@ def propose_newborn(
         others = others + picks.power[..., None, None] * picks.diffuse
     per_pick = measurement.unsqueeze()
     whitener = whiten(per_pick, mask_covariance(others, noise.mean[..., None, :], per_pick.present))
-    centre = picks.position.clamp(region.low + region.cell / 2, region.high - region.cell / 2)
-    prior = Box(centre - region.cell / 2, centre + region.cell / 2)
 
     def log_likelihood(position: Tensor) -> Tensor:
         message = state_message(whitener, respond(field, position), power, log_power_weight)
         return drop_outside(position, message, region)
 
-    proposal = adapt(log_likelihood, prior, rounds.movedim(-3, 0)) if adapted else prior
+    peak, draws_of_rounds = picks.position, rounds.movedim(-3, 0)
+    prior = grow(log_likelihood, peak, region, draws_of_rounds) if adapted else cell_around(peak, region)
+    proposal = adapt(log_likelihood, prior, draws_of_rounds) if adapted else prior
     d = region.num_coordinates
     position = proposal.sample(final[..., :d])
     rate = region.rate_low + (region.rate_high - region.rate_low) * torch.special.ndtr(final[..., d:])
-    log_weight = prior.log_prob(position) - proposal.log_prob(position) - math.log(final.shape[-2])
+    # Of all boxes the odds are those of one cell, so that none goes first for being large; the weights of a
+    # box add up to the number of its cells instead.
+    log_prior = prior.log_prob(position) + log_cells(prior, region)[..., None]
+    log_weight = log_prior - proposal.log_prob(position) - math.log(final.shape[-2])
     state = torch.cat([position, rate], -1)
     log_weight = drop_outside(state, log_weight, region)
+    log_weight = drop_foreign(position, log_weight, peak, prior, picks.active, region)
     odds = torch.where(picks.active, log_odds[..., None], -torch.inf)
     label = torch.zeros(picks.active.shape, dtype=torch.int64, device=state.device)
     return Objects(state, log_weight, power, log_power_weight, odds, label), respond(field, state)
