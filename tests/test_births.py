@@ -1,4 +1,4 @@
-"""Births in one step on a line array: evidence, score in mu_B and first covariance, whatever the cells are."""
+"""Births in one step on a line array: evidence, score in mu_B and first covariance, whatever the cells."""
 
 import math
 
@@ -95,8 +95,8 @@ def test_evidence_and_score_do_not_depend_on_the_cells(sources):
 
 
 def test_first_covariance_is_that_of_the_error():
-    """200 sources uniform in bearing: errors squared over variances have mean one. Bounds of a chi-square with
-    200 degrees of freedom at 1e-5, half of it on either side; boxes of one cell would give 3."""
+    """200 sources uniform in bearing: errors squared over variances have mean one. Bounds of a chi-square
+    of as many degrees of freedom at 1e-5, half of it on either side; boxes of one cell would give 3."""
     runs, rng = 200, torch.Generator().manual_seed(5)
     truth = torch.rand(runs, generator=rng, dtype=F64) * 120 - 60
     scenes = [measure(rng, bearing) for bearing in truth.tolist()]

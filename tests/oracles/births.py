@@ -1,4 +1,4 @@
-"""Exact evidence of one step of Poisson births on a line, by sums over bearings and powers (float64, known noise).
+"""Exact evidence of one step of Poisson births: sums over bearings and powers, known noise (float64).
 
 `f = e^-mu [f_0 + mu int f_1(x) dx / |R| + mu^2 / 2 int int f_2(x, y) dx dy / |R|^2]`, everything over f_0.
 """

@@ -141,3 +141,18 @@ def test_a_batch_element_does_not_depend_on_the_others(dtype):
 def test_zero_likelihood_everywhere_does_not_break_it():
     mixture = adapt(lambda points: torch.full_like(points[..., 0], -1e30), PRIORS["box"], normal(1, 3, 50, 2))
     assert mixture.fitted.tril.isfinite().all()
+
+
+def test_proposal_is_wider_than_its_target():
+    """A Gaussian target in the plane: with twice its variance the weights are at most 2 / 0.9 of their mean,
+    and 3/4 of the sample counts; a proposal narrower than the target has weights without a bound. Fitted to a
+    few hundred points it comes near both."""
+    prior = Box(torch.full((20, 2), -30.0, dtype=F64), torch.full((20, 2), 30.0, dtype=F64))
+    streams = RandomStreams.from_seeds(range(20), (20,), F64)
+    rounds, final = streams.normal(8, 200, 2), streams.normal(2000, 2)
+    mixture = adapt(lambda points: -0.5 * points.square().sum(-1), prior, rounds.movedim(1, 0))
+    points = mixture.sample(final)
+    log_weight = prior.log_prob(points) - mixture.log_prob(points) - 0.5 * points.square().sum(-1)
+    weight = log_weight.softmax(-1)
+    assert weight.amax() * 2000 < 5
+    assert (1 / weight.square().sum(-1)).min() > 0.5 * 2000

@@ -210,3 +210,37 @@ def test_nothing_is_born_outside_a_bounded_region(eastward, adapted):
         log_weight, _ = normalise(new.log_weight[:, 0] + message)
         mean, _ = mean_and_covariance(new.state[:, 0], log_weight)
         assert (mean[:, :2] - torch.tensor([eastward, 0.02], dtype=F64)).abs().max() < 0.1
+
+
+def unknown_noise(batch: int) -> Noise:
+    grid = torch.logspace(-4, 1, 60, dtype=F64).expand(batch, 2, -1)
+    return Noise(grid, torch.full_like(grid, -math.log(60)))
+
+
+def test_many_equal_sources_are_worth_it_together():
+    """While the noise level is unknown the first of four passes for noise, the four together do not."""
+    seeds = [1, 2, 3]
+    data, noise = stack([measure(s, -50.0, -20.0, 15.0, 45.0) for s in seeds]), unknown_noise(3)
+    alone, _ = find(data, seeds, noise=noise, free=1, threshold=25.0)
+    assert alone is None
+    together, _ = find(data, seeds, noise=noise, threshold=25.0)
+    assert together.active.all()
+    # Between 100 and 200 nats in all: not worth it where each of the four has to bring 50.
+    assert find(data, seeds, noise=noise, threshold=50.0)[0] is None
+
+
+def test_rates_of_new_objects_fill_their_range():
+    """Of 500 uniform rates none in the outer twentieth on either side: 2 * 0.95^500 = 1e-11."""
+    data = stack([measure(1, 14.6)])
+    picks, noise = find(data, [1], free=1)
+    streams = RandomStreams.from_seeds([1], (1,), F64)
+    draws = Draws(streams.normal(1, 4, 128, 1), streams.normal(1, 500, 2))
+    signal, limit = torch.zeros(1, 2, 8, 8, dtype=torch.complex128), torch.full((1, 2), 9.0, dtype=F64)
+    new, _ = propose_newborn(FIELD, REGION, data, signal, picks, noise, limit, 16, ODDS, draws)
+    rate = new.state[..., 1]
+    assert rate.min() < -0.9
+    assert rate.max() > 0.9
+    assert rate.abs().max() <= 1
+    # Uniform: Kolmogorov distance, exceeded with probability 1e-5 (2 exp(-2 n D^2)).
+    distance = (rate.flatten().sort().values - torch.linspace(-1, 1, 500, dtype=F64)).abs().max() / 2
+    assert distance < (math.log(2e5) / 1000) ** 0.5
