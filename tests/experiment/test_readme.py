@@ -11,6 +11,7 @@ from hydra import compose, initialize_config_module
 from oracles.scripts import load
 
 from torchdt.scenario.npz import write_npz
+from torchdt.scenario.recording import validate
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
@@ -42,8 +43,7 @@ JOBS = jobs()
 def test_python_example(recording, settings, tmp_path, monkeypatch):
     (example,) = blocks("python", README)
     monkeypatch.chdir(tmp_path)
-    one = recording.snapshots[:1]
-    write_npz("recording.npz", type(recording)(step_s=recording.step_s, snapshots=one))
+    write_npz("recording.npz", validate(step_s=recording.step_s, snapshots=recording.snapshots[:1]))
     names = {}
     exec(example, names)
     history = names["history"]
