@@ -31,6 +31,9 @@ def test_several_runs(history, score):
     assert numbers(text, "1") == [1.17, 1.5, 67.67, 1.0, 50.0, 16.67, -15.0]
     assert numbers(text, "mean") == [1.08, 1.5, 59.33, 1.0, 50.0, 8.33, -12.0]
     assert "2 runs of 6 steps in 2.0 s: 6 steps/s" in text
+    assert "broke down" not in text
+    history.failed[1, 2:4] = True
+    assert "6 steps/s; 2 broke down and count as missing" in printed(history, score, seconds=2.0)
 
 
 def test_one_run_without_truth(history):
