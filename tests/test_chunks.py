@@ -87,7 +87,9 @@ def test_data_and_estimates_are_counted():
 def test_a_detector_works_on_a_dictionary():
     config = TwoStepConfig(particles=100, detector=PursuitConfig())
     coarse, fine = (
-        TwoStepTracker(make_field(), Region([Coordinate(**BEARING | {"cell": cell})]), 1.0, config)
+        TwoStepTracker(
+            make_field(torch.float32), Region([Coordinate(**BEARING | {"cell": cell})]), 1.0, config
+        )
         for cell in (2.0, 1.0)
     )
     extra = bytes_per_sequence(fine, recording()) - bytes_per_sequence(coarse, recording())

@@ -17,7 +17,7 @@ from torchdt.config import TrackerConfig
 from torchdt.detect.config import PursuitConfig, SblConfig
 from torchdt.field.mismatch import MismatchedField
 from torchdt.field.plane_wave import LineArrayField
-from torchdt.field.stacked import StackedDiffuseField
+from torchdt.field.stacked import StackedField
 from torchdt.history import TrackHistory
 from torchdt.likelihood import log_likelihood
 from torchdt.metrics import gospa
@@ -54,7 +54,7 @@ def make_tracker(kind: str, dtype: torch.dtype) -> Tracker[Any]:
     if kind == "diffuse":
         share = torch.full((2,), 0.1, dtype=dtype, device="cpu")
         fields = [MismatchedField(make_waveguide(dtype, tilt=tilt), share) for tilt in TILTS]
-        return DirectTracker(StackedDiffuseField(fields), make_water(dtype), 1.0, TrackerConfig(**SMALL))
+        return DirectTracker(StackedField(fields), make_water(dtype), 1.0, TrackerConfig(**SMALL))
     field = LineArrayField(FREQS, POSITIONS, device="cpu", dtype=dtype)
     if kind in DIRECT:
         return DirectTracker(field, make_region(dtype), 1.0, TrackerConfig(**SMALL | DIRECT[kind]))

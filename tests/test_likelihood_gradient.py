@@ -59,7 +59,7 @@ class StretchedArray(LineArrayField):
 
     def __init__(self, stretch: Tensor):
         super().__init__(FREQS, POSITIONS, dtype=F64)
-        self._phase_per_sine = stretch * self._phase_per_sine
+        self._places = stretch * self._places
 
 
 @PROPOSALS

@@ -14,7 +14,7 @@ from torchdt.detect.dictionary import build_dictionary
 from torchdt.field.base import Field
 from torchdt.field.mismatch import MismatchedField
 from torchdt.field.plane_wave import LineArrayField
-from torchdt.field.stacked import StackedDiffuseField
+from torchdt.field.stacked import StackedField
 from torchdt.model.birth import birth_log_odds, log_no_birth
 from torchdt.model.gamma_chain import (
     predict_chain,
@@ -48,7 +48,7 @@ def test_responses(dtype):
     share = torch.empty(2, dtype=dtype, device=META)
     for field in (make_field(dtype, "meta"), make_field(dtype).to(META), make_field(dtype, "meta", tilt)):
         known_in_part = MismatchedField(field, share)
-        both: tuple[Field, ...] = (field, known_in_part, StackedDiffuseField([known_in_part] * 2))
+        both: tuple[Field, ...] = (field, known_in_part, StackedField([known_in_part] * 2))
         for one in both:
             assert_meta({(2, 5, 2, 11): one(state)}, dtype)
         for scattered in (field.incoherent, *(one.diffuse for one in both[1:])):

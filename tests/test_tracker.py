@@ -329,7 +329,7 @@ def test_some_sequences_have_fields_and_numbers_of_their_own():
     numbers = plain.parameters._replace(survival=survival)
     tracker = DirectTracker(StackedField(fields), plain.region, 1.0, plain.config, numbers)
     part = tracker.select(slice(1, 3))
-    assert part.field.fields == tuple(fields[1:])
+    assert part.field.field.fields == tuple(fields[1:])
     assert part.parameters.survival.tolist() == [0.6, 0.7]
     assert torch.equal(part.dictionary.response, tracker.dictionary.response[1:])
 

@@ -83,7 +83,7 @@ def labels_at(history: TrackHistory, step: int, run: int = 0) -> set[int]:
 @pytest.fixture(scope="module")
 def mixed() -> Tensor:
     """Three sequences of ten steps: two sources, one that falls silent half-way, noise."""
-    sequences = [simulate(1, *TWO)[0], simulate(3, *ONE)[0], simulate(2)[0]]
+    sequences = [simulate(11, *TWO)[0], simulate(14, *ONE)[0], simulate(2)[0]]
     sequences[1][5:] = simulate(5)[0][5:]
     return torch.stack(sequences)[:, :10]
 
@@ -314,6 +314,6 @@ def test_some_sequences_share_what_all_share(detector):
     assert part.detector is tracker.detector
     fields = [LineArrayField(FREQS, POSITIONS, c, dtype=torch.float64) for c in (1500.0, 1400.0, 1600.0)]
     own = make_tracker(detector, field=StackedField(fields)).select(slice(1, 3))
-    assert own.field.fields == tuple(fields[1:])
+    assert own.field.field.fields == tuple(fields[1:])
     assert own.dictionary.response.shape[0] == 2
     assert own.tracker.step_s == tracker.tracker.step_s

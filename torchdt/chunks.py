@@ -11,7 +11,6 @@ import torch
 
 from torchdt.config import TrackerConfig
 from torchdt.errors import require
-from torchdt.field.stacked import StackedField
 from torchdt.linalg import NumericalError
 from torchdt.protocol import Tracker
 from torchdt.scenario.recording import Recording
@@ -47,7 +46,7 @@ def bytes_per_sequence(tracker: Tracker[Any], recording: Recording) -> int:
         work = (config.slots + config.births) * config.particles * of_particle
     else:
         work = dictionary
-    own = 2 * dictionary if isinstance(tracker.field, StackedField) else 0
+    own = 0 if tracker.field.num_sequences is None else 2 * dictionary
     estimates = K * (config.slots * (4 * region.num_coordinates + num_tones + 4) + num_tones + 2)
     data = recording.data[0].numel() * torch.complex128.itemsize
     return (work + own + 2 * estimates) * region.low.dtype.itemsize + 3 * data

@@ -9,8 +9,7 @@ from torchdt.bp.moments import signal_covariance
 from torchdt.bp.schedule import Beliefs, initial_beliefs, update
 from torchdt.config import TrackerConfig
 from torchdt.detect.dictionary import Dictionary
-from torchdt.field.base import Field
-from torchdt.field.stacked import select_field
+from torchdt.field.base import BaseField
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
@@ -35,7 +34,7 @@ class Placer:
 
     def __init__(
         self,
-        field: Field,
+        field: BaseField,
         region: Region,
         dictionary: Dictionary,
         config: TrackerConfig,
@@ -108,7 +107,8 @@ class Placer:
         arguments = (predicted, noise, measurement, draws, found)
         predicted, noise, measurement, draws, found = take_sequences(arguments, rows)
         placer = copy.copy(self)
-        placer.field = select_field(self.field, rows.tolist())
+        chosen = rows.tolist()
+        placer.field, placer.region = self.field.select(chosen), self.region.select(chosen)
         start = predicted.beliefs._replace(noise=noise)
         return put_sequences(current, rows, placer._place_known(predicted, start, measurement, draws, found))
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from torchdt.bp.schedule import Beliefs, as_belief, initial_beliefs
-from torchdt.field.base import Field
+from torchdt.field.base import BaseField
 from torchdt.model.gamma_chain import predict_chain
 from torchdt.model.kinematics import condition_inside, predict_log_odds, predict_moments, predict_state
 from torchdt.model.parameters import Parameters, widen
@@ -33,7 +33,7 @@ class Predicted(NamedTuple):
 
 
 def predict(
-    field: Field,
+    field: BaseField,
     region: Region,
     parameters: Parameters,
     step_s: float,

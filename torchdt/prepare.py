@@ -1,5 +1,6 @@
 """From a recording in any units to data of order one, and priors that fit them."""
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -33,6 +34,23 @@ class Prepared:
     measurement: Measurement
     priors: Priors
     scale: Tensor
+
+
+def require_step(step_s: float) -> float:
+    """The time step of a tracker, seconds.
+
+    Raises:
+        InputError: where it is no positive number.
+    """
+    holds = isinstance(step_s, int | float) and 0 < step_s < math.inf
+    require(holds, "step_s", step_s, "a positive number of seconds")
+    return step_s
+
+
+def check_step(recording: Recording, step_s: float) -> None:
+    """Refuse a recording whose steps are not of the tracker's length."""
+    alike = math.isclose(recording.step_s, step_s, rel_tol=1e-6)
+    require(alike, "step_s", f"{step_s} s in the tracker", f"{recording.step_s} s, as in the recording")
 
 
 def prepare(

@@ -8,7 +8,7 @@ import torch
 from torchdt.breakdown import step_or_miss
 from torchdt.config import ObjectConfig
 from torchdt.detect.dictionary import Dictionary
-from torchdt.field.base import Field
+from torchdt.field.base import BaseField
 from torchdt.history import TrackHistory
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
@@ -46,7 +46,7 @@ class Tracker(Protocol[State]):
         config: numbers of the model and the filter.
     """
 
-    field: Field
+    field: BaseField
     region: Region
     config: ObjectConfig
 

@@ -15,8 +15,9 @@ from torchdt.bp.schedule import Beliefs, update
 from torchdt.conclude import conclude, empty_slots, idle_particles, resample
 from torchdt.config import TrackerConfig
 from torchdt.detect.dictionary import Dictionary, build_dictionary
-from torchdt.field.base import Field
-from torchdt.field.stacked import select_field
+from torchdt.field.base import BaseField, Field, of_each, repeat_field
+from torchdt.field.mismatch import with_share
+from torchdt.field.wrapped import CompletedField
 from torchdt.history import TrackHistory
 from torchdt.model.birth import birth_log_odds, log_no_birth
 from torchdt.model.gamma_chain import predict_chain, predicted_uniform_prior, uniform_prior
@@ -27,7 +28,7 @@ from torchdt.model.region import Region
 from torchdt.model.wishart import log_normaliser
 from torchdt.placement import Placer
 from torchdt.predict import Predicted, exchangeable, predict
-from torchdt.prepare import Prepared, prepare
+from torchdt.prepare import Prepared, check_step, prepare, require_step
 from torchdt.proposal.moved import Draws
 from torchdt.protocol import Tracker
 from torchdt.random import RandomStreams
@@ -63,13 +64,21 @@ class DirectTracker(Tracker[TrackerState]):
     proposals are constants to the gradient: they decide where particles are, the weights make up for it.
 
     Args:
-        field: array response.
+        field: array response, of which `config.mismatch_share` is not where it says.
         region: region of interest, less where the field says that no object can be; its dtype and device are
             those of the tracker.
         step_s: time step in seconds.
         config: numbers of the model and the filter.
         parameters: numbers of the model as tensors; None takes those of `config` and `region`.
+
+    Attributes:
+        field: as the tracker asks it: with the share of mismatch, and of positions alone too.
+
+    Raises:
+        InputError: where field, region and settings do not fit each other.
     """
+
+    field: BaseField
 
     def __init__(
         self,
@@ -79,7 +88,11 @@ class DirectTracker(Tracker[TrackerState]):
         config: TrackerConfig,
         parameters: Parameters | None = None,
     ):
-        self.field, self.region, self.step_s, self.config = field, region.within(field), step_s, config
+        self.region, self.step_s, self.config = region.within(field), require_step(step_s), config
+        self.field = CompletedField(field, region.complete)
+        if config.mismatch_share is not None:
+            anywhere = of_each(self.field, region.cell_centres()[:1])
+            self.field = with_share(self.field, config.mismatch_share, anywhere)
         self.parameters = checked(default_parameters(config, region) if parameters is None else parameters)
         self._idle = idle_particles(region, config.particles)
 
@@ -90,10 +103,21 @@ class DirectTracker(Tracker[TrackerState]):
 
     def select(self, sequences: slice) -> Self:
         """The same tracker for some sequences of its batch; what all sequences share stays shared."""
-        field, parameters = select_field(self.field, sequences), self.parameters.select(sequences)
-        other = type(self)(field, self.region, self.step_s, self.config, parameters)
+        field = self.field.select(sequences)
+        return self._with_field(field, self.region.select(sequences), self.parameters.select(sequences))
+
+    def repeat(self, number: int, parameters: Parameters) -> Self:
+        """The same tracker for its batch repeated as a whole, with other numbers of the model."""
+        field = repeat_field(self.field, number)
+        return self._with_field(field, self.region.within(field), parameters)
+
+    def _with_field(self, field: BaseField, region: Region, parameters: Parameters) -> Self:
+        other = self.with_parameters(parameters)
         if field is self.field:
             other.dictionary = self.dictionary
+        else:
+            other.field, other.region = field, region
+            other.__dict__.pop("dictionary", None)
         return other
 
     def with_parameters(self, parameters: Parameters) -> Self:
@@ -103,7 +127,12 @@ class DirectTracker(Tracker[TrackerState]):
         return other
 
     def prepare(self, recording: Recording) -> Prepared:
-        """Scale a recording and set its priors, see `prepare`."""
+        """Scale a recording and set its priors, see `prepare`.
+
+        Raises:
+            InputError: where it does not fit the tracker; also where its steps are of another length.
+        """
+        check_step(recording, self.step_s)
         return prepare(recording, self.field, self.region, self.config)
 
     def init(self, priors: Priors) -> TrackerState:

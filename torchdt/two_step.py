@@ -12,8 +12,8 @@ from torchdt.detect.points import Detector
 from torchdt.detect.pursuit import MatchingPursuit
 from torchdt.detect.sbl import SparseBayesianLearning
 from torchdt.errors import InputError
-from torchdt.field.base import Field
-from torchdt.field.stacked import select_field
+from torchdt.field.base import BaseField, Field
+from torchdt.field.wrapped import CompletedField
 from torchdt.history import TrackHistory
 from torchdt.linalg import check_finite
 from torchdt.model.measurement import Measurement
@@ -22,7 +22,7 @@ from torchdt.model.region import Region
 from torchdt.mot.config import PointConfig
 from torchdt.mot.likelihood import GaussianPosition
 from torchdt.mot.tracker import PointState, PointTracker
-from torchdt.prepare import Prepared, prepare
+from torchdt.prepare import Prepared, check_step, prepare
 from torchdt.protocol import Tracker
 from torchdt.random import RandomStreams
 from torchdt.scenario.recording import Recording
@@ -49,13 +49,18 @@ class TwoStepTracker(Tracker[PointState]):
         step_s: time step in seconds.
         config: numbers of the detector and the tracker.
 
+    Attributes:
+        field: as the tracker asks it: of positions alone too.
+
     Raises:
-        InputError: where the settings do not fit the region.
+        InputError: where field, region and settings do not fit each other.
     """
+
+    field: BaseField
 
     def __init__(self, field: Field, region: Region, step_s: float, config: TwoStepConfig):
         region = region.within(field)
-        self.field, self.region, self.config = field, region, config
+        self.field, self.region, self.config = CompletedField(field, region.complete), region, config
         likelihood = GaussianPosition(region, config.spread_in(region))
         self.tracker = PointTracker(region, step_s, config, likelihood)
 
@@ -75,14 +80,18 @@ class TwoStepTracker(Tracker[PointState]):
 
     def select(self, sequences: slice) -> Self:
         """The same tracker for some sequences of its batch; what all sequences share stays shared."""
-        field = select_field(self.field, sequences)
-        other = type(self)(field, self.region, self.tracker.step_s, self.config)
+        field = self.field.select(sequences)
         if field is self.field:
-            other.dictionary, other.detector = self.dictionary, self.detector
-        return other
+            return self
+        return type(self)(field, self.region, self.tracker.step_s, self.config)
 
     def prepare(self, recording: Recording) -> Prepared:
-        """Scale a recording, see `prepare`."""
+        """Scale a recording, see `prepare`.
+
+        Raises:
+            InputError: where it does not fit the tracker; also where its steps are of another length.
+        """
+        check_step(recording, self.tracker.step_s)
         return prepare(recording, self.field, self.region)
 
     def init(self, priors: Priors) -> PointState:

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 from torchdt.config import TrackerConfig
 from torchdt.errors import InputError, require
-from torchdt.field.stacked import repeat_field
 from torchdt.model.parameters import Parameters, default_parameters, stack_parameters
 from torchdt.tracker import DirectTracker
 
@@ -64,8 +63,7 @@ def with_variants(
         with _named(index):
             settings.append(default_parameters(config, tracker.region))
     parameters = stack_parameters(settings, num_sequences)
-    field = repeat_field(tracker.field, len(configs))
-    return DirectTracker(field, tracker.region, tracker.step_s, tracker.config, parameters)
+    return tracker.repeat(len(configs), parameters)
 
 
 @contextlib.contextmanager

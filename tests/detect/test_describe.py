@@ -207,7 +207,7 @@ def test_a_step_does_not_depend_on_the_others_of_a_batch():
     start = bearings(-32.0, 13.3, 40.0).expand(2, 2, -1, -1)
     present = torch.tensor([[[True, True, False], [True] * 3], [[False, True, False], [False] * 3]])
     other = make_field()
-    other._phase_per_sine *= 1.05
+    other._cycles *= 1.05
     field = StackedField([FIELD, other])
     moved = polish(field, REGION, start, present, measurement)
     together = describe(field(moved), moved, present, measurement)

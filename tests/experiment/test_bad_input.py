@@ -122,9 +122,14 @@ def test_scenario_that_makes_no_sense(launch, override, words):
         ("field._target_=builtins.dict", ("key 'field._target_'", "found dict", "torchdt.field.Field")),
         ("+field.speed=3", ("key 'field'", "unexpected keyword argument 'speed'")),
         ("~field.wave_speed", ("key 'field'", "missing 1 required", "'wave_speed'")),
-        ("field.wave_speed=-1", ("key 'field'", "wave_speed is -1", "expected a positive number")),
-        ("field.freqs=[100,-3]", ("key 'field'", "(100, -3)", "expected one positive frequency or more")),
-        ("field.sensor_positions=[]", ("key 'field'", "positions is empty", "expected one position or more")),
+        ("field.wave_speed=-1", ("key 'field.wave_speed'", "found -1", "expected a positive number")),
+        ("field.wave_speed=nan", ("key 'field.wave_speed'", "found nan", "expected a positive number")),
+        (
+            "field.freqs=[100,-3]",
+            ("key 'field.freqs'", "[100, -3]", "expected one positive frequency"),
+        ),
+        ("field.sensor_positions=[]", ("key 'field.sensor_positions'", "expected (M,): each sensor's")),
+        ("scenario.coordinates.0.low=-180", ("bearing", "which the sensors cannot tell apart")),
     ],
 )
 def test_field_that_cannot_be_built(launch, override, words):

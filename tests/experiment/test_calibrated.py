@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchdt.experiment.build import build_recording, build_tracker
+from torchdt.experiment.build import build_recording, build_tracker, build_tracking_field
 from torchdt.experiment.fields import build_field
 from torchdt.field.stacked import StackedField
 
@@ -83,7 +83,7 @@ def test_fields_of_a_batch_are_those_of_the_runs(settings):
     """The field of a sequence explains this sequence and not the other."""
     chosen = settings(*TINY, "scenario.num_steps=3", "runs=2", "seed=1", small=False)
     recording = build_recording(chosen)
-    field = build_tracker(chosen, recording).field
+    field = build_tracking_field(chosen, recording)
     assert isinstance(field, StackedField)
     assert len(field.fields) == 2
     share = torch.empty(2, 2)

@@ -15,7 +15,7 @@ SQUARE = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]]
 
 
 def test_waves_equal_the_exponential():
-    array = SensorArray([30.0, 70.0], SQUARE, 343.0, 2, dtype=F64)
+    array = SensorArray([30.0, 70.0], SQUARE, 343.0, 3, 2, dtype=F64)
     path = torch.tensor([0.3, -2.0, 1000.7, 0.0], dtype=F64)
     expected = np.exp(2j * np.pi / 343.0 * np.array([30.0, 70.0])[:, None] * path.numpy())
     np.testing.assert_allclose(array.waves(path).numpy(), expected, atol=1e-11)
@@ -24,7 +24,9 @@ def test_waves_equal_the_exponential():
 def test_single_precision_holds_large_phases():
     """At 2e6 radians float32 alone has an error of a tenth; the reduced phase one of 1e-6."""
     tones, path = [3e4, 1e5], torch.linspace(-1000, 1000, 4 * 50, dtype=F64).reshape(50, 4)
-    single, double = (SensorArray(tones, SQUARE, 343.0, 2, dtype=d).waves(path) for d in (torch.float32, F64))
+    single, double = (
+        SensorArray(tones, SQUARE, 343.0, 3, 2, dtype=d).waves(path) for d in (torch.float32, F64)
+    )
     assert (single - double).abs().max() < 2e-6
     naive = torch.polar(
         torch.ones(()), 2 * math.pi * path.float()[:, None] * torch.tensor(tones)[:, None] / 343.0
@@ -34,7 +36,7 @@ def test_single_precision_holds_large_phases():
 
 def test_a_change_of_type_leaves_places_exact():
     places = [[1e4 / 3, 0.0, 0.0], [0.0, 1 / 3, 0.0]]
-    array = SensorArray([30.0], places, 343.0, 1, dtype=F64).float()
+    array = SensorArray([30.0], places, 343.0, 2, 1, dtype=F64).float()
     assert array._places.tolist() == places
 
 
@@ -73,7 +75,7 @@ def test_no_tensor_is_left_on_another_device(dtype):
 def test_wrong_input_is_named(change, words):
     arguments = {"freqs": [30.0], "sensor_positions": SQUARE, "wave_speed": 343.0} | change
     with pytest.raises(ValueError, match=r"^key 'field") as error:
-        SensorArray(**arguments, min_rank=2)
+        SensorArray(**arguments, space=3, min_rank=2)
     assert words in str(error.value)
 
 

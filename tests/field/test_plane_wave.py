@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from torchdt.errors import InputError
-from torchdt.field import BoundedField, Field, LineArrayField, PlaneWaveField
+from torchdt.field import Field, LineArrayField, PlaneWaveField
 
 FREQS = (60.0, 200.0)
 POSITIONS = (0.0, 2.5, 5.0, 11.0)
@@ -18,7 +18,7 @@ def test_equals_the_equation():
     response = field(torch.tensor([33.0, 0.1], dtype=torch.float64))
     for i, f in enumerate(FREQS):
         for m, x in enumerate(POSITIONS):
-            angle = -2 * math.pi * f / 1480.0 * x * math.sin(math.radians(33.0))
+            angle = 2 * math.pi * f / 1480.0 * x * math.sin(math.radians(33.0))
             assert complex(response[i, m]) == pytest.approx(complex(math.cos(angle), math.sin(angle)) / 2)
 
 
@@ -41,14 +41,18 @@ def test_gradcheck():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (((), POSITIONS), "freqs is"),
-        (((-1.0,), POSITIONS), "freqs is"),
-        ((FREQS, ()), "positions is empty"),
-        ((FREQS, POSITIONS, 0.0), "wave_speed is 0"),
+        (((), POSITIONS), "'field.freqs': found"),
+        (((-1.0,), POSITIONS), "'field.freqs': found"),
+        (((math.nan,), POSITIONS), "'field.freqs': found"),
+        ((FREQS, ()), "'field.sensor_positions': found"),
+        ((FREQS, (0.0, math.nan)), "'field.sensor_positions': found"),
+        ((FREQS, (7.0,)), "sensors that span 0 horizontal dimensions, expected 1 or more"),
+        ((FREQS, POSITIONS, 0.0), "'field.wave_speed': found 0"),
+        ((FREQS, POSITIONS, math.nan), "'field.wave_speed': found nan"),
     ],
 )
 def test_wrong_input_is_named(arguments, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(InputError, match=message):
         LineArrayField(*arguments)
 
 
@@ -87,7 +91,6 @@ def rotated(places, degrees):
 @pytest.mark.parametrize("sign", [1, -1])
 def test_plane_wave_equals_the_equation(kind, sign):
     field = PlaneWaveField(FREQS, PLACES, 343.0, kind, sign=sign, normalize=False, dtype=F64)
-    assert isinstance(field, BoundedField)
     state = torch.tensor(STATES[kind], dtype=F64)
     u = np.array([VECTORS[kind](*row[: field.num_coordinates]) for row in STATES[kind]])
     path = u @ np.array(PLACES).T
@@ -133,12 +136,12 @@ def test_turning_the_array_turns_the_azimuth(kind):
 
 
 def test_line_to_the_east_is_the_line_array():
-    """Whose phases are the conjugates, and whose bearing is from broadside."""
+    """Whose bearing is from broadside: that from north, for sensors of which one is off the line."""
     line = LineArrayField(FREQS, POSITIONS, 343.0, dtype=F64)
     places = [[x, 0.0, 0.0] for x in POSITIONS]
-    field = PlaneWaveField(FREQS, places, 343.0, "bearing", sign=-1, dtype=F64)
+    field = PlaneWaveField(FREQS, [*places, [0.0, 3.0, 0.0]], 343.0, "bearing", normalize=False, dtype=F64)
     state = torch.linspace(-90, 90, 13, dtype=F64)[:, None]
-    torch.testing.assert_close(field(state), line(state))
+    torch.testing.assert_close(field(state)[..., :4] / 2, line(state))
 
 
 def test_outside_the_unit_circle():

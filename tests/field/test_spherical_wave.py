@@ -100,7 +100,9 @@ def test_single_precision_holds_large_phases():
     [
         ({"num_coordinates": 1}, "'field.num_coordinates': found 1, expected 2 or 3"),
         ({"places": [[0, 0, 0], [1, 1, 1]]}, "span 1 dimensions, expected 2"),
-        ({"places": [[0, 0, 0]], "num_coordinates": 2}, "span 0 dimensions, expected 1"),
+        ({"places": [[0, 0, z] for z in range(4)], "num_coordinates": 2}, "span 0 horizontal dimensions"),
+        ({"plane_z": math.nan}, "'field.plane_z': found nan"),
+        ({"sign": 0}, "'field.sign': found 0, expected 1 or -1"),
         ({"places": [[0, 0], [1, 1]]}, "'field.sensor_positions': found shape (2, 2)"),
     ],
 )

@@ -8,9 +8,10 @@ from oracles.line_array import FREQS, POSITIONS, make_region
 from torchdt.bp.rank_one import whiten
 from torchdt.detect.dictionary import bartlett_surface, build_dictionary, likelihood_surface
 from torchdt.field import Field, NormalModeField
-from torchdt.field.mismatch import DiffuseField, MismatchedField
+from torchdt.field.base import repeat_field
+from torchdt.field.mismatch import MismatchedField
 from torchdt.field.plane_wave import LineArrayField
-from torchdt.field.stacked import StackedDiffuseField, StackedField, repeat_field, select_field
+from torchdt.field.stacked import StackedField
 from torchdt.model.measurement import Measurement, from_snapshots
 
 F64 = torch.float64
@@ -42,9 +43,8 @@ def test_responses_equal_the_single_fields(fields, batch):
 def test_diffuse_parts_equal_the_single_fields(fields, batch):
     shares = torch.tensor([[0.1, 0.2], [0.0, 0.5], [0.3, 0.0]], dtype=F64)
     single = [MismatchedField(f, share) for f, share in zip(fields, shares, strict=True)]
-    stacked, state = StackedDiffuseField(single), states(3, *batch)
-    assert isinstance(stacked, DiffuseField)
-    assert not isinstance(StackedField(fields), DiffuseField)
+    stacked, state = StackedField(single), states(3, *batch)
+    assert StackedField(fields).diffuse(state) is None
     response, diffuse = stacked(state), stacked.diffuse(state)
     assert diffuse.shape == (3, *batch, 2, 21, 21)
     for b, field in enumerate(single):
@@ -79,12 +79,10 @@ def test_wrong_number_of_sequences_is_refused(fields):
         StackedField(fields)(states(2, 4))
 
 
-@pytest.mark.parametrize("kind", [StackedField, StackedDiffuseField])
-def test_some_sequences_have_their_fields(fields, kind):
+def test_some_sequences_have_their_fields(fields):
     single = [MismatchedField(f, torch.full((2,), 0.1, dtype=F64)) for f in fields]
-    stacked, state = kind(single), states(3, 4)
-    part = select_field(stacked, slice(1, 3))
-    assert type(part) is kind
+    stacked, state = StackedField(single), states(3, 4)
+    part = stacked.select(slice(1, 3))
     assert part.fields == tuple(single[1:])
     torch.testing.assert_close(part(state[1:]), stacked(state)[1:], rtol=0.0, atol=0.0)
     assert stacked.select(slice(0, 3)) is stacked
@@ -97,5 +95,5 @@ def test_a_repeated_batch_has_its_fields_in_order(fields):
 
 
 def test_a_field_of_all_sequences_stays(fields):
-    assert select_field(fields[0], slice(1, 3)) is fields[0]
+    assert fields[0].select(slice(1, 3)) is fields[0]
     assert repeat_field(fields[0], 3) is fields[0]

@@ -171,17 +171,33 @@ def test_other_environment_gives_another_field(swellex, tones, sensors, field, s
 @pytest.mark.parametrize(
     ("freqs", "depths", "message"),
     [
-        ((), (50.0,), "freqs is empty"),
+        ((), (50.0,), "freqs is"),
         ((100.0,), (), "sensor_depths is"),
         ((100.0,), (50.0, 101.0), "sensor_depths is.*100"),
         ((100.0,), (-0.1,), "sensor_depths is"),
-        ((-100.0,), (50.0,), "frequency is -100"),
+        ((-100.0,), (50.0,), "freqs is.*-100"),
+        ((math.nan,), (50.0,), "freqs is.*nan"),
+        ((100.0,), (50.0, math.nan), "sensor_depths is.*nan"),
     ],
 )
 def test_wrong_input_is_named(freqs, depths, message):
     environment = Environment(((0.0, 1500.0), (100.0, 1500.0)), (), HalfSpace(1800.0, 2.0, 0.1))
     with pytest.raises(ValueError, match=message):
         NormalModeField(environment, freqs, depths)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"tilt": math.nan}, "tilt is nan"),
+        ({"max_phase_speed": math.nan}, "max_phase_speed is nan"),
+        ({"sign": 2}, "'field.sign': found 2"),
+    ],
+)
+def test_wrong_settings_are_named(change, message):
+    environment = Environment(((0.0, 1500.0), (100.0, 1500.0)), (), HalfSpace(1800.0, 2.0, 0.1))
+    with pytest.raises(ValueError, match=message):
+        NormalModeField(environment, (100.0,), (50.0,), **change)
 
 
 @pytest.mark.parametrize("state", [torch.zeros(3, 1), torch.tensor(1.0), torch.ones(4, dtype=DOUBLE)])

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from oracles.line_array import make_field
+from oracles.waveguide import make_field
 
 from torchdt.errors import InputError
 from torchdt.model.region import Coordinate, Region
@@ -84,9 +84,11 @@ def test_birth_cells_reach_into_the_circle(high, number):
 
 
 def test_without_a_bound_all_cells_are_birth_cells():
-    region = Region([RANGE, DEPTH])
-    assert region.is_birth_cell.tolist() == [True] * 12
-    assert region.within(make_field()) is region
+    region = Region([RANGE, DEPTH], torch.float64)
+    states = torch.tensor([[1050.0, 10.0], [1.0, 1.0]], dtype=torch.float64)
+    for one in (region, region.within(make_field(torch.float64))):
+        assert one.is_birth_cell.tolist() == [True] * 12
+        assert one.contains(states).tolist() == [True, False]
 
 
 def test_region_without_room_is_refused():

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from torchdt.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics
-from torchdt.field.base import Field
-from torchdt.field.stacked import StackedField
+from torchdt.errors import InputError, require
+from torchdt.field.base import BaseField, Field, as_field, of_each
 from torchdt.model.measurement import Measurement
 from torchdt.model.region import Region
 
@@ -28,19 +28,42 @@ class Dictionary(NamedTuple):
 
 
 def build_dictionary(field: Field, region: Region) -> Dictionary:
-    """Evaluate a field on the region's grid of cells."""
-    points = region.cell_centres()
-    if isinstance(field, StackedField):
-        response = torch.stack([_responses(f, points) for f in field.fields])
-    else:
-        response = _responses(field, points)
-    response.masked_fill_(~region.is_birth_cell[:, None], 0.0)
+    """Evaluate a field on the region's grid of cells, at the rates in the middle of the region's.
+
+    Raises:
+        InputError: where what the field returns has the wrong shape or type, or is not finite in some cell.
+    """
+    field, points = as_field(field), region.cell_centres()
+    with torch.no_grad():
+        parts = [_responses(field, region.complete(part)) for part in points.split(4096)]
+    response = torch.cat(parts, -2).contiguous()
+    outside = ~region.is_birth_cell
+    response.masked_fill_(outside[:, None], 0.0)
+    if not response.is_meta:
+        _check_finite(response, region, points)
     return Dictionary(points, response, torch.linalg.vector_norm(response, dim=-1).square())
 
 
-def _responses(field: Field, points: Tensor) -> Tensor:
-    with torch.no_grad():
-        return torch.cat([field(part).transpose(0, 1) for part in points.split(4096)], dim=1).contiguous()
+def _responses(field: BaseField, state: Tensor) -> Tensor:
+    """`(I, C, M)`, or `(B, I, C, M)` with a field per sequence, at states `(C, D)` that all share."""
+    state = of_each(field, state)
+    response = field(state)
+    found: object = type(response).__name__
+    if isinstance(response, Tensor):
+        found = f"shape {tuple(response.shape)} and type {response.dtype}"
+    shape, dtype = (*state.shape[:-1], field.num_tones, field.num_sensors), state.dtype.to_complex()
+    expected, states = f"shape {shape} and type {dtype}", f"to states of shape {tuple(state.shape)}"
+    require(found == expected, "field", f"a response of {found}", f"{expected} {states}")
+    return response.transpose(-3, -2)
+
+
+def _check_finite(response: Tensor, region: Region, points: Tensor) -> None:
+    wrong = (~response.isfinite().all(-1)).reshape(-1, len(points)).any(0)
+    if bool(wrong.any()):
+        names = [c.name for c in region.coordinates]
+        place = dict(zip(names, points[wrong][0].tolist(), strict=True))
+        found = f"a response that is not finite in {int(wrong.sum())} cells, the first at {place}"
+        raise InputError.of_key("field", found, "finite numbers wherever there can be an object")
 
 
 def bartlett_surface(dictionary: Dictionary, measurement: Measurement) -> Tensor:

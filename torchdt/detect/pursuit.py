@@ -66,7 +66,9 @@ class MatchingPursuit:
             position, present = put(position, index, place), put(present, index, alive)
             if self.config.refine:
                 separation = self.config.separation
-                position = polish(self.field, self.region, position, present, measurement, separation)
+                moved = polish(self.field, self.region, position, present, measurement, separation)
+                # Steps that are done stay as they are, however long others of the batch go on.
+                position = torch.where(alive[..., None, None], moved, position)
         points = describe(self.field(position), position, present, measurement)
         return points.above(self.config.threshold)
 

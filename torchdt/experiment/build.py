@@ -16,9 +16,8 @@ from torchdt.experiment.fields import build_field
 from torchdt.experiment.settings import TrackSettings
 from torchdt.experiment.signals import read_signals
 from torchdt.experiment.tart_recording import read_sky
-from torchdt.field.base import Field
+from torchdt.field.base import BaseField
 from torchdt.field.build import EnvironmentDraw
-from torchdt.field.mismatch import IncoherentField, MismatchedField
 from torchdt.model.region import Coordinate, Region
 from torchdt.protocol import Tracker
 from torchdt.scenario.generate import generate_snapshots
@@ -152,7 +151,9 @@ def draw_environment(
     )
 
 
-def build_tracker(settings: TrackSettings, recording: Recording, field: Field | None = None) -> Tracker[Any]:
+def build_tracker(
+    settings: TrackSettings, recording: Recording, field: BaseField | None = None
+) -> Tracker[Any]:
     """Tracker for a recording.
 
     Args:
@@ -165,15 +166,16 @@ def build_tracker(settings: TrackSettings, recording: Recording, field: Field | 
     """
     if field is None:
         field = build_tracking_field(settings, recording)
-    region, config = build_region(settings, settings.torch_dtype), settings.tracker
-    if isinstance(config, TwoStepConfig):
-        return TwoStepTracker(field, region, recording.step_s, config)
-    if settings.direct.mismatch_share is not None:
-        field = shared_field(field, settings)
-    return DirectTracker(field, region, recording.step_s, settings.direct)
+    region = build_region(settings, settings.torch_dtype)
+    if isinstance(settings.tracker, TwoStepConfig):
+        return TwoStepTracker(field, region, recording.step_s, settings.tracker)
+    config, expected = settings.direct, "null, or calibration=none: that estimates the share"
+    share = config.mismatch_share
+    require(share is None or not settings.calibration.enabled, "tracker.mismatch_share", share, expected)
+    return DirectTracker(field, region, recording.step_s, config)
 
 
-def build_tracking_field(settings: TrackSettings, recording: Recording) -> Field:
+def build_tracking_field(settings: TrackSettings, recording: Recording) -> BaseField:
     """The field in which a recording is tracked, calibrated where that is asked for.
 
     What the recording says of its array replaces the field's configuration.
@@ -197,23 +199,6 @@ def recorded_target(settings: TrackSettings, recording: Recording) -> dict[str, 
     """The field's configuration, with what a recording says of its array in place of it."""
     known = {key: getattr(recording, key) for key in ARRAY_KEYS if key in settings.field}
     return {**settings.field, **{key: v.tolist() for key, v in known.items() if isinstance(v, Tensor)}}
-
-
-def shared_field(field: Field, settings: TrackSettings) -> MismatchedField:
-    """A field of which the configured share of each tone is not where it says.
-
-    Raises:
-        InputError: where the calibration estimates that share, the field does not know how it scatters, or
-            there is not one share for each tone.
-    """
-    share, key = settings.direct.mismatch_share or [], "tracker.mismatch_share"
-    require(
-        not settings.calibration.enabled, key, share, "null, or calibration=none: that estimates the share"
-    )
-    if not isinstance(field, IncoherentField):
-        raise InputError.of_key(key, share, "null: this field does not know how its response scatters")
-    require(len(share) == field.num_tones, key, share, f"{field.num_tones} numbers, one for each tone")
-    return MismatchedField(field, torch.tensor(share, dtype=settings.torch_dtype, device=settings.device))
 
 
 def build_region(settings: TrackSettings, dtype: torch.dtype) -> Region:

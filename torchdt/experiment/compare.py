@@ -25,8 +25,7 @@ from torchdt.experiment.parallel import set_threads, track_in_chunks
 from torchdt.experiment.quality import SuiteSettings, compose_track, confidence, one_line, score
 from torchdt.experiment.score import score_history
 from torchdt.experiment.settings import TrackSettings
-from torchdt.field.base import Field
-from torchdt.field.stacked import select_field
+from torchdt.field.base import BaseField
 from torchdt.history import TrackHistory
 from torchdt.model.region import Region
 from torchdt.prepare import prepare
@@ -91,7 +90,7 @@ class Stage(NamedTuple):
 
     settings: TrackSettings
     recording: Recording
-    field: Field
+    field: BaseField
     region: Region
     hidden: Tensor
     step: int
@@ -180,7 +179,7 @@ def set_stage(track_settings: TrackSettings, settings: CompareSettings) -> Stage
     step, surface = min(settings.surface_step, recording.num_steps - 1), None
     if region.num_coordinates <= 2:
         first = slice(0, 1)
-        own = select_field(field, first)
+        own = field.select(first)
         measurement = prepare(recording.select(first), own, region).measurement.at(step)
         surface = ambiguity_surface(build_dictionary(own, region), region, measurement)
     return Stage(track_settings, recording, field, region, hidden, step, surface)

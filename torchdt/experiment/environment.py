@@ -9,11 +9,11 @@ from torchdt.calibration.environment import calibrate
 from torchdt.errors import InputError
 from torchdt.experiment.fields import build_field
 from torchdt.experiment.settings import TrackSettings
-from torchdt.field.base import Field
+from torchdt.field.base import BaseField
 from torchdt.field.build import EnvironmentDraw
 from torchdt.field.family import WaveguideFamily
 from torchdt.field.mismatch import MismatchedField
-from torchdt.field.stacked import StackedDiffuseField, StackedField
+from torchdt.field.stacked import StackedField
 from torchdt.field.waveguide import NormalModeField
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
@@ -45,8 +45,8 @@ def waveguide_family(settings: TrackSettings, target: dict[str, Any], dtype: tor
 
 
 def calibrated_field(
-    settings: TrackSettings, recording: Recording, target: dict[str, Any], nominal: Field, region: Region
-) -> Field:
+    settings: TrackSettings, recording: Recording, target: dict[str, Any], nominal: BaseField, region: Region
+) -> BaseField:
     """Fit the environment of each sequence; one field per sequence.
 
     Raises:
@@ -79,6 +79,6 @@ def calibrated_field(
         field = track_family.solve(theta) if theta.any() else nominal
         fields.append(MismatchedField(field, share.to(settings.torch_dtype)))
     if any(field.share.any() for field in fields):
-        return StackedDiffuseField(fields)
+        return StackedField(fields)
     plain = [field.field for field in fields]
     return nominal if all(field is nominal for field in plain) else StackedField(plain)

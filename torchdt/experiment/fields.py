@@ -7,10 +7,10 @@ import torch
 from hydra.utils import instantiate
 
 from torchdt.errors import InputError, require
-from torchdt.field.base import Field
+from torchdt.field.base import BaseField, Field, as_field
 
 
-def build_field(target: dict[str, Any], dtype: torch.dtype, device: str, **overrides: object) -> Field:
+def build_field(target: dict[str, Any], dtype: torch.dtype, device: str, **overrides: object) -> BaseField:
     """Instantiate a field from its configuration group.
 
     The one function that is called is that of the group's own `_target_`.
@@ -34,7 +34,7 @@ def build_field(target: dict[str, Any], dtype: torch.dtype, device: str, **overr
         raise InputError.of_key(
             "field._target_", type(field).__name__, "an object that follows torchdt.field.Field"
         )
-    return field
+    return as_field(field)
 
 
 def _refuse_targets(key: str, value: object) -> None:

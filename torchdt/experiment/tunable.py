@@ -1,8 +1,7 @@
 """What a tuning job works on: sequences, what can be tuned on them, and trackers of given values."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ from torchdt.experiment.build import (
 from torchdt.experiment.environment import waveguide_family
 from torchdt.experiment.quality import consecutive
 from torchdt.experiment.settings import TrackSettings
-from torchdt.field.base import Field
+from torchdt.field.base import BaseField, of_each
 from torchdt.field.build import EnvironmentDraw, as_draw
 from torchdt.field.waveguide import NormalModeField
 from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings
@@ -96,7 +95,8 @@ def build_problem(
     for name in of_field:
         expected = "calibration=none: it would fit the same"
         require(not settings.calibration.enabled, f"hyperparameters.{name}", "calibration.enabled", expected)
-    share, config = settings.direct.mismatch_share, replace(settings.direct, mismatch_share=None)
+    tuned = "mismatch_share" in chosen
+    config = replace(settings.direct, mismatch_share=None) if tuned else settings.direct
     fields = [build_tracking_field(settings, s.recording) for s in sets]
     region = build_region(settings, settings.torch_dtype)
     target = recorded_target(settings, sets[0].recording)
@@ -114,24 +114,18 @@ def build_problem(
     families = []
     for field, part in zip(fields, sets, strict=True):
         field_of = varied or _constant(field)
-        if "mismatch_share" in chosen:
+        if tuned:
             field_of = share_fields(field_of, region.low)
-        elif share is not None:
-            field_of = partial(_with_share, share_fields(field_of, region.low), region.low.new_tensor(share))
         families.append(TrackerFamily(field_of, region, part.recording.step_s, config))
     return Problem(hyperparameters, families)
 
 
-def _with_share(field_of: FieldOf, share: Tensor, values: Mapping[str, Tensor]) -> Field:
-    return field_of({**values, "mismatch_share": share})
-
-
-def _constant(field: Field) -> FieldOf:
+def _constant(field: BaseField) -> FieldOf:
     return lambda values: field
 
 
 def _defaults(
-    settings: TrackSettings, target: dict, field: Field, num_snapshots: float | None
+    settings: TrackSettings, target: dict, field: BaseField, num_snapshots: float | None
 ) -> dict[str, Tensor | float]:
     """All that can be tuned, with the values of the configuration, in float64.
 
@@ -143,7 +137,8 @@ def _defaults(
     defaults: dict[str, Tensor | float] = dict(default_parameters(settings.direct, region).known())
     if num_snapshots is not None:
         defaults.setdefault("effective_count", num_snapshots)
-    if hasattr(field, "incoherent"):
+    own = build_region(settings, settings.torch_dtype)
+    if field.incoherent(of_each(field, own.complete(own.cell_centres()[:1]))) is not None:
         share = settings.direct.mismatch_share or [SHARE_START] * field.num_tones
         defaults["mismatch_share"] = torch.tensor(share, dtype=torch.float64)
     eofs = target.get("eofs")

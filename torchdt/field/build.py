@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import torch
 
 from torchdt.errors import InputError, require
-from torchdt.field.array import warn_of_aliasing
+from torchdt.field.array import as_numbers, warn_of_aliasing
 from torchdt.field.environment import Environment, HalfSpace, Layer, combine_eofs
 from torchdt.field.modes import ModeSolverError
 from torchdt.field.plane_wave import LineArrayField, PlaneWaveField
@@ -68,6 +68,7 @@ def waveguide(
     normalize: bool = True,
     max_phase_speed: float = 1750.0,
     points_per_wavelength: float = 16.0,
+    sign: int = 1,
     eofs: Mapping[str, Any] | None = None,
     draw: EnvironmentDraw | Mapping[str, Any] | None = None,
     dtype: torch.dtype | None = None,
@@ -85,6 +86,7 @@ def waveguide(
         normalize: give each tone's response unit norm.
         max_phase_speed: of the modes kept, m/s.
         points_per_wavelength: of the depth mesh of the mode solver; more where its message asks for more.
+        sign: +1 for spectra of a Fourier transform, -1 for their conjugates.
         eofs: sound-speed statistics, `depths` (Z,) m and `functions` (Z, E) m/s; needed for a draw only.
         draw: departure from this environment, or its values by name.
         dtype, device: of the field.
@@ -118,9 +120,12 @@ def waveguide(
             normalize=normalize,
             max_phase_speed=max_phase_speed,
             points_per_wavelength=points_per_wavelength,
+            sign=sign,
             dtype=dtype,
             device=device,
         )
+    except InputError:
+        raise
     except (ValueError, TypeError, ModeSolverError) as error:
         raise InputError(f"key 'field': {error}") from error
 
@@ -130,30 +135,29 @@ def line_array(
     freqs: Sequence[float],
     sensor_positions: Sequence[float] | Sequence[Sequence[float]],
     wave_speed: float,
+    sign: int = 1,
     dtype: torch.dtype | None = None,
     device: torch.device | str | None = None,
 ) -> LineArrayField:
-    """Plane waves on a line array. Sensors too far apart are warned of in the log.
+    """Plane waves on a line array, see `LineArrayField`. Sensors too far apart are warned of in the log.
 
     Args:
         freqs: Hz.
         sensor_positions: `(M,)` along the line, or `(M, 3)` of which the first coordinate is the line, m.
         wave_speed: m/s.
+        sign: +1 for spectra of a Fourier transform, -1 for their conjugates.
         dtype, device: of the field.
 
     Raises:
         InputError: where the array does not make sense.
     """
-    along = torch.as_tensor(sensor_positions, dtype=torch.float64, device="cpu")
-    if along.ndim == 2 and bool((along[:, 1:] != along[:1, 1:]).any()):
-        raise InputError.of_key(
-            "sensor_positions", "sensors off a line", "sensors along the first coordinate"
-        )
-    along = along[:, 0] if along.ndim == 2 else along
-    try:
-        field = LineArrayField(freqs, along.tolist(), wave_speed, dtype=dtype, device=device)
-    except ValueError as error:
-        raise InputError(f"key 'field': {error}") from error
+    along = as_numbers("field.sensor_positions", sensor_positions)
+    if along.ndim == 2:
+        on_a_line = bool((along[:, 1:] == along[:1, 1:]).all())
+        expected = "sensors along the first coordinate"
+        require(on_a_line, "sensor_positions", "sensors off a line", expected)
+        along = along[:, 0]
+    field = LineArrayField(freqs, along.tolist(), wave_speed, sign=sign, dtype=dtype, device=device)
     warn_of_aliasing(along[:, None], freqs, wave_speed)
     return field
 
@@ -177,7 +181,7 @@ def plane_wave(
         wave_speed: m/s.
         coordinates: `direction_cosines`, `azimuth_elevation` or `bearing`, see `PlaneWaveField`.
         normalize: give each tone's response unit norm.
-        sign: +1 or -1, of the phase at the sensor nearest to the object.
+        sign: +1 for spectra of a Fourier transform, -1 for their conjugates.
         dtype, device: of the field.
 
     Raises:
@@ -205,6 +209,7 @@ def spherical_wave(
     num_coordinates: int = 2,
     plane_z: float = 0.0,
     normalize: bool = True,
+    sign: int = 1,
     dtype: torch.dtype | None = None,
     device: torch.device | str | None = None,
 ) -> SphericalWaveField:
@@ -217,6 +222,7 @@ def spherical_wave(
         num_coordinates: 2 for (x, y) in a horizontal plane, 3 for (x, y, z).
         plane_z: height of that plane, m.
         normalize: give each tone's response unit norm.
+        sign: +1 for spectra of a Fourier transform, -1 for their conjugates.
         dtype, device: of the field.
 
     Raises:
@@ -229,6 +235,7 @@ def spherical_wave(
         num_coordinates=num_coordinates,
         plane_z=plane_z,
         normalize=normalize,
+        sign=sign,
         device=device,
         dtype=dtype,
     )

@@ -17,11 +17,18 @@ class Directions(NamedTuple):
         num_coordinates: number d of position coordinates.
         vector: maps positions `(*batch, d)` to unit vectors `(*batch, 3)`.
         inside: maps positions to whether there is such a direction, `(*batch,)` bool.
+        positions: maps unit vectors `(*batch, 3)` to all positions that stand for them, up to whole turns,
+            `(n, *batch, d)`; NaN where none does.
+        turn: what angles may be off by a multiple of, degrees; None: the position is no angle.
+        space: 2 where directions are horizontal, else 3.
     """
 
     num_coordinates: int
     vector: Callable[[Tensor], Tensor]
     inside: Callable[[Tensor], Tensor]
+    positions: Callable[[Tensor], Tensor]
+    turn: float | None
+    space: int
 
 
 def from_direction_cosines(position: Tensor) -> Tensor:
@@ -54,12 +61,34 @@ def from_bearing(position: Tensor) -> Tensor:
     return torch.stack([bearing.sin(), bearing.cos(), torch.zeros_like(bearing)], -1)
 
 
+def to_direction_cosines(vector: Tensor) -> Tensor:
+    """Inverse of `from_direction_cosines`, `(*batch, 3)` to `(1, *batch, 2)`; NaN below the horizon."""
+    return torch.where(vector[..., 2:] >= 0, vector[..., :2], torch.nan)[None]
+
+
+def to_azimuth_elevation(vector: Tensor) -> Tensor:
+    """Inverse of `from_azimuth_elevation`, `(*batch, 3)` to `(2, *batch, 2)`: also over the zenith."""
+    east, north, up = vector.unbind(-1)
+    azimuth, elevation = torch.rad2deg(torch.atan2(east, north)), torch.rad2deg(up.clamp(-1, 1).asin())
+    over = torch.stack([azimuth + 180, 180 - elevation], -1)
+    return torch.stack([torch.stack([azimuth, elevation], -1), over])
+
+
+def to_bearing(vector: Tensor) -> Tensor:
+    """Inverse of `from_bearing`, `(*batch, 3)` to `(1, *batch, 1)`."""
+    return torch.rad2deg(torch.atan2(vector[..., 0], vector[..., 1]))[None, ..., None]
+
+
 def _everywhere(position: Tensor) -> Tensor:
     return torch.ones_like(position[..., 0], dtype=torch.bool)
 
 
 DIRECTIONS = {
-    "direction_cosines": Directions(2, from_direction_cosines, in_unit_circle),
-    "azimuth_elevation": Directions(2, from_azimuth_elevation, _everywhere),
-    "bearing": Directions(1, from_bearing, _everywhere),
+    "direction_cosines": Directions(
+        2, from_direction_cosines, in_unit_circle, to_direction_cosines, turn=None, space=3
+    ),
+    "azimuth_elevation": Directions(
+        2, from_azimuth_elevation, _everywhere, to_azimuth_elevation, turn=360.0, space=3
+    ),
+    "bearing": Directions(1, from_bearing, _everywhere, to_bearing, turn=360.0, space=2),
 }

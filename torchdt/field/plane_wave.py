@@ -4,10 +4,10 @@ import math
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchdt.errors import require
-from torchdt.field.array import SensorArray
+from torchdt.field.array import SensorArray, as_numbers
 from torchdt.field.directions import DIRECTIONS
 
 
@@ -15,15 +15,19 @@ class PlaneWaveField(SensorArray):
     """Response of an array to a plane wave, `a_m = exp(sign i 2 pi f / c p_m . u) / sqrt(M)`.
 
     `p_m` is the place of a sensor and `u` the unit vector towards the object, both east, north, up; see Van
-    Trees, Optimum Array Processing, 2002, ch. 2.2. The state is one of these, then its rates:
+    Trees, Optimum Array Processing, 2002, ch. 2.2. A sensor further towards the object hears the wave earlier
+    and, with `sign` +1, is ahead in phase. The state is one of these, then its rates:
 
     - `direction_cosines`: the parts of u to the east and to the north, for objects above the horizon. States
       outside the unit circle count as the nearest direction on the horizon, so that values and gradients stay
       finite; `inside` says which they are, and a tracker gives them no weight;
     - `azimuth_elevation`: degrees clockwise from north, and degrees above the horizon;
-    - `bearing`: degrees clockwise from north, on the horizon.
+    - `bearing`: degrees clockwise from north, on the horizon. The sensors must not stand on a line, which
+      cannot tell one side of it from the other: for a line there is `LineArrayField`.
 
-    Angles do not wrap: a region is an interval of them.
+    Angles do not wrap: a region is an interval of them. Sensors in a plane hear the same from both sides of
+    it, so that a tracker refuses a region that holds both, such as elevations of both signs over sensors on
+    level ground.
 
     Args:
         freqs: `(I,)` tones, Hz.
@@ -38,8 +42,10 @@ class PlaneWaveField(SensorArray):
 
     Raises:
         InputError: naming the key of the field at fault; also where the sensors span too few dimensions to
-            tell the states apart.
+            tell the states apart: two for all, and for a bearing two horizontal ones.
     """
+
+    min_rank = 2
 
     def __init__(
         self,
@@ -54,11 +60,11 @@ class PlaneWaveField(SensorArray):
         dtype: torch.dtype | None = None,
     ) -> None:
         require(coordinates in DIRECTIONS, "field.coordinates", coordinates, f"one of {list(DIRECTIONS)}")
-        require(sign in (1, -1), "field.sign", sign, "1 or -1")
-        self.directions = DIRECTIONS[coordinates]
+        self.directions, self.normalize = DIRECTIONS[coordinates], normalize
         self.num_coordinates = self.directions.num_coordinates
-        super().__init__(freqs, sensor_positions, wave_speed, self.num_coordinates, device, dtype)
-        self.normalize, self.sign = normalize, sign
+        super().__init__(
+            freqs, sensor_positions, wave_speed, self.directions.space, self.min_rank, sign, device, dtype
+        )
 
     def forward(self, state: Tensor) -> Tensor:
         """Evaluate the response.
@@ -73,32 +79,49 @@ class PlaneWaveField(SensorArray):
             ValueError: if `state` has too few entries or another type than the field.
         """
         towards = self.directions.vector(self.position(state))
-        response = self.waves(self.sign * towards @ self._places.T)
+        response = self.waves(towards @ self._places.T)
         return response / math.sqrt(self.num_sensors) if self.normalize else response
 
     def inside(self, state: Tensor) -> Tensor:
         """Which states `(*batch, D)` are directions, `(*batch,)` bool."""
         return self.directions.inside(state[..., : self.num_coordinates])
 
+    def images(self, state: Tensor) -> Tensor:
+        """Positions of equal responses: across the sensors' line or plane, and whole turns away."""
+        position, kind = self.position(state), self.directions
+        towards = kind.vector(position)
+        found = kind.positions(torch.cat([towards[None], self.mirrored(towards)])).flatten(0, 1)
+        if kind.turn is not None:
+            turns = torch.tensor([-1.0, 0.0, 1.0], dtype=found.dtype, device=found.device) * kind.turn
+            shifts = torch.cartesian_prod(*[turns] * self.num_coordinates)
+            shifts = shifts.reshape(-1, *[1] * (position.ndim - 1), self.num_coordinates)
+            nearest = position + torch.remainder(found - position + kind.turn / 2, kind.turn) - kind.turn / 2
+            found = (nearest[:, None] + shifts).flatten(0, 1)
+        return found.to(state.dtype)
 
-class LineArrayField(nn.Module):
-    """Response of a line array to a plane wave, `a_m = exp(-i 2 pi f / c x_m sin(bearing)) / sqrt(M)`.
 
-    The state is bearing from broadside, degrees, then its rate, degrees/s; only the bearing is read.
+class LineArrayField(PlaneWaveField):
+    """Response of a line array to a plane wave, `a_m = exp(sign i 2 pi f / c x_m sin(bearing)) / sqrt(M)`.
+
+    The state is bearing from broadside, degrees, then its rate, degrees/s. Positive bearings are on the side
+    of the line's positive end: a wave from there reaches the sensors of larger `x_m` earlier. It is
+    `PlaneWaveField` of sensors to the east. A line hears the same from its two sides, bearings b and 180 - b:
+    a tracker refuses a region that holds both, and takes what lies within -90 to 90.
 
     Args:
         freqs: `(I,)` tones, Hz.
         positions: `(M,)` sensor positions along the line, m.
         wave_speed: m/s.
+        sign: +1 for spectra whose time factor is `exp(i omega t)`, as of an FFT: the sensor nearest to the
+            object is ahead in phase. -1 for their conjugates.
         device: of the buffers, and so of the states.
         dtype: real type of the buffers, and so of the states.
 
     Raises:
-        ValueError: if `freqs` or `positions` is empty, or a tone or the speed is not positive.
+        InputError: naming the key of the field at fault.
     """
 
-    num_coordinates = 1
-    _phase_per_sine: Tensor
+    min_rank = 1
 
     def __init__(
         self,
@@ -106,42 +129,13 @@ class LineArrayField(nn.Module):
         positions: Sequence[float],
         wave_speed: float = 1500.0,
         *,
+        sign: int = 1,
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> None:
-        super().__init__()
-        if len(positions) == 0:
-            raise ValueError("positions is empty; expected one position or more")
-        if len(freqs) == 0 or min(freqs) <= 0:
-            raise ValueError(f"freqs is {tuple(freqs)}; expected one positive frequency or more")
-        if wave_speed <= 0:
-            raise ValueError(f"wave_speed is {wave_speed}; expected a positive number")
-        self.num_tones = len(freqs)
-        self.num_sensors = len(positions)
-        tones, places = (
-            torch.tensor(list(v), dtype=torch.float64, device=device) for v in (freqs, positions)
-        )
-        phase = (-2 * math.pi / wave_speed * tones)[:, None] * places
-        dtype = dtype or torch.get_default_dtype()
-        self.register_buffer("_phase_per_sine", phase.to(dtype), persistent=False)
-
-    def forward(self, state: Tensor) -> Tensor:
-        """Evaluate the response.
-
-        Args:
-            state: `(*batch, D)` real, `D >= 1`.
-
-        Returns:
-            `(*batch, I, M)` complex, of unit norm over the sensors.
-
-        Raises:
-            ValueError: if `state` has no last axis or another type than the buffers.
-        """
-        if state.ndim == 0 or state.dtype != self._phase_per_sine.dtype:
-            raise ValueError(
-                f"state has shape {tuple(state.shape)} and type {state.dtype}; "
-                f"expected (*batch, 1 or more) of {self._phase_per_sine.dtype}"
-            )
-        sine = torch.sin(torch.deg2rad(state[..., 0]))
-        phase = sine[..., None, None] * self._phase_per_sine
-        return torch.complex(torch.cos(phase), torch.sin(phase)) / math.sqrt(self.num_sensors)
+        key = "field.sensor_positions"
+        along = as_numbers(key, positions)
+        holds, found = along.ndim == 1 and len(along) > 0, f"shape {tuple(along.shape)}"
+        require(holds, key, found, "(M,): each sensor's place along the line, m")
+        places = [[x, 0.0, 0.0] for x in along.tolist()]
+        super().__init__(freqs, places, wave_speed, "bearing", sign=sign, device=device, dtype=dtype)

@@ -8,6 +8,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from torchdt.field.array import require_sign
+from torchdt.field.base import BaseField
 from torchdt.field.environment import Environment
 from torchdt.field.modes import ModeTable, solve_modes
 
@@ -21,11 +23,12 @@ _MIN_POWER = 1e-20
 _MIN_NORM = 1e-10
 
 
-class NormalModeField(nn.Module):
+class NormalModeField(nn.Module, BaseField):
     """Response of a vertical array, `p_m = sum_n psi_n(z_s) psi_n(z_m) exp(-i k_n r_m) / sqrt(kr_n r)`.
 
     Here `k_n = kr_n - i alpha_n`: the far field of Jensen, Kuperman, Porter and Schmidt, Computational Ocean
-    Acoustics, 2nd ed. 2011, ch. 5, for a time factor `exp(i omega t)` and up to a constant factor. The array
+    Acoustics, 2nd ed. 2011, ch. 5, for a time factor `exp(i omega t)` and up to a constant factor: what
+    arrives later has the smaller phase. With `sign` -1 it is the conjugate. The array
     leans towards the source by the tilt `t`, so that `r_m = r - (z_ref - z_m) tan t` with `z_ref` the deepest
     sensor. A mode's phase is taken in float64 whatever the type of the state, because thousands of radians
     leave float32 too few digits.
@@ -43,11 +46,13 @@ class NormalModeField(nn.Module):
         normalize: give each tone's response unit norm over the sensors.
         max_phase_speed: modes of a higher phase speed are left out, m/s, see `solve_modes`.
         points_per_wavelength: of the depth mesh on which the modes are computed, see `solve_modes`.
+        sign: +1 for spectra whose time factor is `exp(i omega t)`, as of an FFT; -1 for their conjugates.
         device: of the buffers, and so of the states.
         dtype: real type of the buffers, and so of the states.
 
     Raises:
-        ValueError: if `freqs` or `sensor_depths` is empty, or a sensor is outside the water.
+        ValueError: if `freqs` or `sensor_depths` is empty, a sensor is outside the water, or a number is not
+            finite.
         ModeSolverError: if the modes cannot be computed.
     """
 
@@ -69,20 +74,26 @@ class NormalModeField(nn.Module):
         normalize: bool = True,
         max_phase_speed: float = 1750.0,
         points_per_wavelength: float = 16.0,
+        sign: int = 1,
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> None:
         super().__init__()
+        require_sign(sign)
         bottom = environment.water_depth
-        if len(freqs) == 0:
-            raise ValueError("freqs is empty; expected one frequency or more")
-        if len(sensor_depths) == 0 or min(sensor_depths) < 0 or max(sensor_depths) > bottom:
+        if len(freqs) == 0 or not all(0 < f < math.inf for f in freqs):
+            raise ValueError(f"freqs is {tuple(freqs)}; expected one positive frequency or more")
+        if not (isinstance(tilt, Tensor) or -90 < tilt < 90):
+            raise ValueError(f"tilt is {tilt}; expected degrees between -90 and 90")
+        if not max_phase_speed > 0:
+            raise ValueError(f"max_phase_speed is {max_phase_speed}; expected a positive number")
+        if len(sensor_depths) == 0 or not all(0 <= z <= bottom for z in sensor_depths):
             raise ValueError(
                 f"sensor_depths is {tuple(sensor_depths)}; expected one or more depths in [0, {bottom}]"
             )
         self.num_tones = len(freqs)
         self.num_sensors = len(sensor_depths)
-        self.normalize = normalize
+        self.normalize, self.sign = normalize, sign
         self.water_depth: float | Tensor = bottom
         self.tilt = tilt
 
@@ -141,7 +152,7 @@ class NormalModeField(nn.Module):
         response = _join(
             [_join([self._respond(part, receivers) for part in row.split(size, 1)], 2) for row in rows], 0
         )
-        response = torch.view_as_complex(response.unflatten(-1, (self.num_sensors, 2)))
+        response = self._signed(torch.view_as_complex(response.unflatten(-1, (self.num_sensors, 2))))
         return response.transpose(1, 2).reshape(*state.shape[:-1], self.num_tones, self.num_sensors)
 
     def incoherent(self, state: Tensor) -> Tensor:
@@ -167,10 +178,13 @@ class NormalModeField(nn.Module):
             ],
             dim=1,
         )
-        covariance = covariance.reshape(*state.shape[:-1], *covariance.shape[1:])
+        covariance = self._signed(covariance).reshape(*state.shape[:-1], *covariance.shape[1:])
         trace = covariance.diagonal(dim1=-2, dim2=-1).real.sum(-1).clamp(min=_MIN_POWER)
         energy = self(state).abs().square().sum(-1)
         return covariance * (energy / trace)[..., None, None]
+
+    def _signed(self, spectrum: Tensor) -> Tensor:
+        return spectrum if self.sign == 1 else spectrum.conj_physical()
 
     def _depth_functions(self, depth: Tensor) -> Tensor:
         """`(S, N)` mode functions at source depths `(S,)`, kept inside the water."""

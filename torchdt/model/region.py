@@ -1,5 +1,6 @@
 """The region of interest: coordinates, their limits, and the cells in which objects are born."""
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -8,8 +9,8 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torchdt.errors import require
-from torchdt.field.base import BoundedField, Field
+from torchdt.errors import InputError, require
+from torchdt.field.base import BaseField, Field, as_field, of_each
 from torchdt.ranges import Finite, Positive, check
 
 MOST_CELLS = 10_000_000
@@ -27,6 +28,9 @@ class Coordinate:
         cell: edge of a birth cell, in units; the region holds a whole number of cells.
         rate_low, rate_high: rates of newborn objects are uniform between these.
         driving_variance: variance of the acceleration-like driving noise, (unit / s^2)^2.
+
+    Raises:
+        InputError: where a number is not finite, or the limits leave nothing.
     """
 
     name: str
@@ -64,10 +68,11 @@ class Region:
         coordinates: the d position coordinates, slowest-varying grid axis first.
         dtype, device: of the tensors handed out.
         inside: where in the box there can be objects, `(*batch, D)` states to `(*batch,)` bool; None is
-            everywhere.
+            everywhere, or where the field says.
+        field: what else limits the box, see `within`.
 
     Raises:
-        InputError: where there can be objects in none of the birth cells.
+        InputError: where there is no coordinate, or there can be objects in none of the birth cells.
     """
 
     def __init__(
@@ -75,9 +80,11 @@ class Region:
         coordinates: Sequence[Coordinate],
         dtype: torch.dtype = torch.float32,
         device: torch.device | str = "cpu",
-        inside: Callable[[Tensor], Tensor] | None = None,
+        inside: Callable[[Tensor], Tensor | None] | None = None,
+        field: BaseField | None = None,
     ):
-        self.coordinates, self._inside = tuple(coordinates), inside
+        self.coordinates, self._field = tuple(coordinates), field
+        require(len(self.coordinates) > 0, "scenario.coordinates", "none", "one coordinate or more")
 
         def vector(values: Sequence[float]) -> Tensor:
             return torch.tensor(values, dtype=dtype, device=device)
@@ -89,16 +96,49 @@ class Region:
         self.driving_variance = vector([c.driving_variance for c in self.coordinates])
         self.grid_shape = tuple(c.num_cells for c in self.coordinates)
         self.cell = (self.high - self.low) / vector([float(n) for n in self.grid_shape])
+        self._inside = inside if field is None else field.inside
         number = math.prod(self.grid_shape)
         require(number <= MOST_CELLS, "scenario.coordinates", f"{number} cells", f"at most {MOST_CELLS}")
         found = f"{number} cells, none of them where an object can be"
         require(self.num_cells > 0, "scenario.coordinates", found, "a region with room for objects")
 
     def within(self, field: Field) -> "Region":
-        """What a field leaves of this region: the region itself unless it is a `BoundedField`."""
-        if not isinstance(field, BoundedField):
+        """What a field leaves of this region, see `BaseField.inside`.
+
+        Raises:
+            InputError: where the field has states of other coordinates, leaves nothing, leaves other cells to
+                one sequence than to another, or cannot tell some states of the region from others.
+        """
+        field = as_field(field)
+        found, expected = f"{self.num_coordinates} coordinates", f"{field.num_coordinates}, as the field"
+        require(self.num_coordinates == field.num_coordinates, "scenario.coordinates", found, expected)
+        left = Region(self.coordinates, self.low.dtype, self.low.device, field=field)
+        left._refuse_images(field)
+        return left
+
+    def select(self, sequences: slice | Sequence[int]) -> "Region":
+        """The region for some sequences of a batch; the same object where these are all, or share a field."""
+        field = None if self._field is None else self._field.select(sequences)
+        if field is None or field is self._field:
             return self
-        return Region(self.coordinates, self.low.dtype, self.low.device, field.inside)
+        other = copy.copy(self)
+        other._field, other._inside = field, field.inside
+        return other
+
+    def _refuse_images(self, field: BaseField) -> None:
+        """Refuse a box that holds states and, more than a cell away, others of the same response."""
+        centres = of_each(field, self.cell_centres()[self.is_birth_cell])
+        for image in field.images(self.complete(centres)):
+            apart = ((image - centres).abs() > 1.01 * self.cell).any(-1)
+            twins = (apart & self.contains(image)).nonzero()
+            if len(twins):
+                here, there = (self._in_words(position[tuple(twins[0])]) for position in (centres, image))
+                found = f"a region that holds both {here} and {there}, which the sensors cannot tell apart"
+                raise InputError.of_key("scenario.coordinates", found, "one that holds only one of the two")
+
+    def _in_words(self, position: Tensor) -> str:
+        values = zip(self.coordinates, position.tolist(), strict=True)
+        return ", ".join(f"{c.name} {value:.4g} {c.unit}" for c, value in values)
 
     @property
     def num_coordinates(self) -> int:
@@ -115,14 +155,32 @@ class Region:
         """Whether a cell of the grid reaches into the region, `(C,)` bool.
 
         It does with its centre, a corner or the middle of a side.
+
+        Raises:
+            InputError: where the cells of one sequence are not those of another.
         """
         centres = self.cell_centres()
-        if self._inside is None:
-            return torch.ones_like(centres[:, 0], dtype=torch.bool)
         ends = torch.tensor([0.0, -0.5, 0.5], dtype=centres.dtype, device=centres.device)
         offsets = torch.cartesian_prod(*[ends] * self.num_coordinates).reshape(-1, self.num_coordinates)
-        reaches = [self._inside(centres + offset * self.cell) for offset in offsets]
-        return torch.stack(reaches).any(0)
+        reached = torch.zeros_like(centres[:, 0], dtype=torch.bool)
+        for offset in offsets:
+            state = centres + offset * self.cell
+            allowed = self._allowed(state if self._field is None else of_each(self._field, state))
+            if allowed is None:
+                return torch.ones_like(reached)
+            reached = reached | allowed
+        if reached.ndim > 1:
+            alike = bool((reached == reached[:1]).all())
+            require(alike, "fields", "different cells where objects can be", "the same for all sequences")
+            return reached[0]
+        return reached
+
+    def complete(self, position: Tensor) -> Tensor:
+        """Whole states: positions `(*batch, d)` with rates in the middle of theirs, states as they are."""
+        if position.shape[-1] != self.num_coordinates:
+            return position
+        middle = (self.rate_low + self.rate_high) / 2
+        return torch.cat([position, middle.expand_as(position)], -1)
 
     def cell_centres(self) -> Tensor:
         """Centres of all C cells of the grid, birth cells or not, `(C, d)`, last coordinate fastest."""
@@ -136,7 +194,11 @@ class Region:
         """Whether positions lie in the region, `(*batch, D)` to `(*batch,)` bool."""
         position = state[..., : self.num_coordinates]
         holds = ((position >= self.low) & (position <= self.high)).all(-1)
-        return holds if self._inside is None else holds & self._inside(position)
+        allowed = self._allowed(state)
+        return holds if allowed is None else holds & allowed
+
+    def _allowed(self, state: Tensor) -> Tensor | None:
+        return None if self._inside is None else self._inside(self.complete(state))
 
     @property
     def column_names(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from torchdt.mot.config import PointConfig
 from torchdt.mot.likelihood import PointLikelihood
 from torchdt.mot.update import update
 from torchdt.particles.weights import effective_sample_size, normalise, standard_deviation
+from torchdt.prepare import require_step
 from torchdt.random import RandomStreams
 from torchdt.slots import join, take_rows
 from torchdt.state import weighted_mean
@@ -61,11 +62,12 @@ class PointTracker:
         likelihood: how points arise from objects and from clutter.
 
     Raises:
-        InputError: where `driving_variance` is not one number for each coordinate.
+        InputError: where `step_s` is not positive or `driving_variance` not one number for each coordinate.
     """
 
     def __init__(self, region: Region, step_s: float, config: PointConfig, likelihood: PointLikelihood):
-        self.region, self.step_s, self.config, self.likelihood = region, step_s, config, likelihood
+        self.region, self.step_s = region, require_step(step_s)
+        self.config, self.likelihood = config, likelihood
         variance = per_coordinate(
             config.driving_variance, region.driving_variance, "tracker.driving_variance"
         )

@@ -11,8 +11,7 @@ from torchdt.bp.messages import ObjectBelief, object_belief, state_message
 from torchdt.bp.moments import response_moment
 from torchdt.bp.rank_one import whiten
 from torchdt.bp.schedule import Beliefs, as_belief, background, store
-from torchdt.field.base import Field
-from torchdt.field.mismatch import DiffuseField
+from torchdt.field.base import BaseField, Field
 from torchdt.model.kinematics import drop_outside
 from torchdt.model.measurement import Measurement
 from torchdt.model.region import Region
@@ -55,10 +54,8 @@ def respond(field: Field, state: Tensor) -> Tensor:
     return field(state).transpose(-3, -2)
 
 
-def diffuse_part(field: Field, state: Tensor, log_weight: Tensor) -> Tensor | None:
+def diffuse_part(field: BaseField, state: Tensor, log_weight: Tensor) -> Tensor | None:
     """Diffuse covariance of objects at their mean states, `(*batch, P, D)` to `(*batch, I, M, M)`, if any."""
-    if not isinstance(field, DiffuseField):
-        return None
     return field.diffuse(weighted_mean(state.mT, log_weight[..., None, :]))
 
 
@@ -105,8 +102,8 @@ def propose_adapted(
         slot_prior = ObjectBelief(*(take(t, index) for t in as_belief(predicted)))
         power = take(predicted.power, index)
 
-        def log_likelihood(position: Tensor) -> Tensor:
-            return state_message(whitener, respond(field, position), power, slot_prior.log_power_weight)  # noqa: B023
+        def log_likelihood(state: Tensor) -> Tensor:
+            return state_message(whitener, respond(field, state), power, slot_prior.log_power_weight)  # noqa: B023
 
         prediction = Gaussian(take(mean, index), scale_tril(take(covariance, index)))
         drawn = draw_adapted(log_likelihood, prediction, take(draws.rounds, index), take(draws.final, index))
@@ -158,18 +155,25 @@ def draw_adapted(
     """Particles where a predicted Gaussian and a likelihood meet.
 
     Args:
-        log_likelihood: maps positions `(*batch, S, d)` to `(*batch, S)`.
+        log_likelihood: maps states `(*batch, S, 2 d)` to `(*batch, S)`.
         predicted: of the state, D = 2 d.
         rounds: `(*batch, rounds, S, d)` standard normal draws.
         final: `(*batch, P, 2 d)` standard normal draws.
     """
     d = final.shape[-1] // 2
     prior = Gaussian(predicted.mean[..., :d], predicted.tril[..., :d, :d])
-    mixture = adapt(log_likelihood, prior, rounds.movedim(-3, 0))
-    position = mixture.sample(final[..., :d])
+
     # With L = [[A, 0], [B, C]] the rates given the position are N(m_v + B A^-1 (p - m_p), C C^T).
-    white = torch.cat([prior.whiten(position), final[..., d:]], -1)
-    state = torch.cat([position, predicted.sample(white)[..., d:]], -1)
+    def with_rates(position: Tensor, white_rate: Tensor) -> tuple[Tensor, Tensor]:
+        white = torch.cat([prior.whiten(position), white_rate], -1)
+        return torch.cat([position, predicted.sample(white)[..., d:]], -1), white
+
+    def at_mean_rates(position: Tensor) -> Tensor:
+        return log_likelihood(with_rates(position, torch.zeros_like(position))[0])
+
+    mixture = adapt(at_mean_rates, prior, rounds.movedim(-3, 0))
+    position = mixture.sample(final[..., :d])
+    state, white = with_rates(position, final[..., d:])
     log_prior = predicted.log_prob(state)
     log_rate = log_prior - prior.log_prob(position)
     return Adapted(state, white, log_prior, mixture.log_prob(position) + log_rate)

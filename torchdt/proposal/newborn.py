@@ -19,8 +19,7 @@ from torchdt.bp.noise import update_noise
 from torchdt.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics, whiten
 from torchdt.detect.dictionary import Dictionary
 from torchdt.detect.strongest import strongest_cell
-from torchdt.field.base import Field
-from torchdt.field.mismatch import DiffuseField
+from torchdt.field.base import BaseField, Field
 from torchdt.model.gamma_chain import uniform_prior_around
 from torchdt.model.kinematics import drop_outside
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask_covariance
@@ -56,7 +55,7 @@ class Picks(NamedTuple):
 
 
 def search(
-    field: Field,
+    field: BaseField,
     region: Region,
     dictionary: Dictionary,
     measurement: Measurement,
@@ -105,9 +104,10 @@ def search(
         scale = torch.maximum(power, 1 / s[..., 0])
         power = torch.where(alive[..., None], power, 0.0)
         moment = response.mT @ response.conj()
-        if isinstance(field, DiffuseField):
-            scattered.append(field.diffuse(position))
-            moment = moment + scattered[-1]
+        scatter = field.diffuse(position)
+        if scatter is not None:
+            scattered.append(scatter)
+            moment = moment + scatter
         signal = signal + power[..., None, None] * moment
         belief = update_noise(noise, measurement, signal)
         gains.append(_log_likelihood(measurement, signal, belief))

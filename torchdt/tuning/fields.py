@@ -1,14 +1,13 @@
 """Fields by those hyperparameters that concern the array response."""
 
 from collections.abc import Callable, Mapping
-from typing import cast
 
 import torch
 from torch import Tensor
 
 from torchdt.field.base import Field
 from torchdt.field.family import WaveguideFamily
-from torchdt.field.mismatch import IncoherentField, MismatchedField
+from torchdt.field.mismatch import MismatchedField
 
 ENVIRONMENT = ("eof_coefficients", "tilt_deg", "water_depth_m")
 
@@ -36,9 +35,7 @@ def share_fields(field_of: FieldOf, like: Tensor) -> FieldOf:
     """The same fields, of which `mismatch_share` `(I,)` is not where the model says.
 
     Args:
-        field_of: modelled responses, which know themselves without phases (`IncoherentField`).
+        field_of: modelled responses, which know themselves without phases (`BaseField.incoherent`).
         like: gives the share's type and device.
     """
-    return lambda values: MismatchedField(
-        cast(IncoherentField, field_of(values)), values["mismatch_share"].to(like)
-    )
+    return lambda values: MismatchedField(field_of(values), values["mismatch_share"].to(like))
