@@ -16,7 +16,7 @@ class Directions(NamedTuple):
     Attributes:
         num_coordinates: number d of position coordinates.
         vector: maps positions `(*batch, d)` to unit vectors `(*batch, 3)`.
-        inside: maps positions to whether there is such a direction, `(*batch,)` bool.
+        inside: maps positions to whether there is such a direction, `(*batch,)` bool; None: there always is.
         positions: maps unit vectors `(*batch, 3)` to all positions that stand for them, up to whole turns,
             `(n, *batch, d)`; NaN where none does.
         turn: what angles may be off by a multiple of, degrees; None: the position is no angle.
@@ -25,7 +25,7 @@ class Directions(NamedTuple):
 
     num_coordinates: int
     vector: Callable[[Tensor], Tensor]
-    inside: Callable[[Tensor], Tensor]
+    inside: Callable[[Tensor], Tensor] | None
     positions: Callable[[Tensor], Tensor]
     turn: float | None
     space: int
@@ -79,16 +79,12 @@ def to_bearing(vector: Tensor) -> Tensor:
     return torch.rad2deg(torch.atan2(vector[..., 0], vector[..., 1]))[None, ..., None]
 
 
-def _everywhere(position: Tensor) -> Tensor:
-    return torch.ones_like(position[..., 0], dtype=torch.bool)
-
-
 DIRECTIONS = {
     "direction_cosines": Directions(
         2, from_direction_cosines, in_unit_circle, to_direction_cosines, turn=None, space=3
     ),
     "azimuth_elevation": Directions(
-        2, from_azimuth_elevation, _everywhere, to_azimuth_elevation, turn=360.0, space=3
+        2, from_azimuth_elevation, None, to_azimuth_elevation, turn=360.0, space=3
     ),
-    "bearing": Directions(1, from_bearing, _everywhere, to_bearing, turn=360.0, space=2),
+    "bearing": Directions(1, from_bearing, None, to_bearing, turn=360.0, space=2),
 }

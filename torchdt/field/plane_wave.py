@@ -82,9 +82,10 @@ class PlaneWaveField(SensorArray):
         response = self.waves(towards @ self._places.T)
         return response / math.sqrt(self.num_sensors) if self.normalize else response
 
-    def inside(self, state: Tensor) -> Tensor:
-        """Which states `(*batch, D)` are directions, `(*batch,)` bool."""
-        return self.directions.inside(state[..., : self.num_coordinates])
+    def inside(self, state: Tensor) -> Tensor | None:
+        """Which states `(*batch, D)` are directions, `(*batch,)` bool; None: all are."""
+        inside = self.directions.inside
+        return None if inside is None else inside(state[..., : self.num_coordinates])
 
     def images(self, state: Tensor) -> Tensor:
         """Positions of equal responses: across the sensors' line or plane, and whole turns away."""

@@ -60,7 +60,10 @@ def checked(parameters: Parameters) -> Parameters:
         InputError: where the shape of a Gamma transition is below `LEAST_SHAPE`.
     """
     for name in ("power_shape", "noise_shape"):
-        smallest = getattr(parameters, name).min().item()
+        shape = getattr(parameters, name)
+        if shape.is_meta:  # no numbers to check
+            continue
+        smallest = shape.min().item()
         require(smallest >= LEAST_SHAPE, name, f"{smallest:g}", f"a number of at least {LEAST_SHAPE:g}")
     return parameters
 

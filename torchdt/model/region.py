@@ -96,7 +96,10 @@ class Region:
         self.driving_variance = vector([c.driving_variance for c in self.coordinates])
         self.grid_shape = tuple(c.num_cells for c in self.coordinates)
         self.cell = (self.high - self.low) / vector([float(n) for n in self.grid_shape])
-        self._inside = inside if field is None else field.inside
+        if field is not None:
+            somewhere = of_each(field, self.complete(self.cell_centres()[:1]))
+            inside = None if field.inside(somewhere) is None else field.inside
+        self._inside = inside
         number = math.prod(self.grid_shape)
         require(number <= MOST_CELLS, "scenario.coordinates", f"{number} cells", f"at most {MOST_CELLS}")
         found = f"{number} cells, none of them where an object can be"
@@ -122,11 +125,13 @@ class Region:
         if field is None or field is self._field:
             return self
         other = copy.copy(self)
-        other._field, other._inside = field, field.inside
+        other._field, other._inside = field, None if self._inside is None else field.inside
         return other
 
     def _refuse_images(self, field: BaseField) -> None:
         """Refuse a box that holds states and, more than a cell away, others of the same response."""
+        if self.low.is_meta:  # no numbers to compare
+            return
         centres = of_each(field, self.cell_centres()[self.is_birth_cell])
         for image in field.images(self.complete(centres)):
             apart = ((image - centres).abs() > 1.01 * self.cell).any(-1)
