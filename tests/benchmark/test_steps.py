@@ -62,7 +62,7 @@ def test_every_part_has_a_time_and_a_share(tracker, recording):
         assert 0 < rows[name].value < math.inf
         assert rows[f"{name} / whole step"].value == pytest.approx(rows[name].value / whole)
     assert rows["times real time"].value == pytest.approx(1e3 / whole)
-    assert "steps of 2 s" in rows["times real time"].note
+    assert "steps of 1 s" in rows["times real time"].note
     assert rows["field"].note == "50 particles"
     assert rows["prediction"].note.startswith("2 objects")
     assert rows["newborn proposal"].note.startswith("2 objects")
