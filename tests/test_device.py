@@ -132,7 +132,7 @@ def test_the_trap_lets_pass_what_names_its_device_or_takes_it_from_a_tensor():
 @pytest.mark.parametrize("kind", TRACKERS)
 def test_defaults_of_pytorch_have_no_part_in_tracking(data_of, kind, dtype):
     """Objects known and newborn, and their scores, are the same to the last bit. All has the type of the
-    region but the evidence, which is double."""
+    region but what is in the recording's units, which is double."""
     with default_dtype(dtype):
         expected = run(kind, dtype, data_of(kind))
     with foreign_defaults(dtype):
@@ -142,8 +142,9 @@ def test_defaults_of_pytorch_have_no_part_in_tracking(data_of, kind, dtype):
     counts = history.declared.sum(-1)
     assert counts[:, -1].tolist() == [2] * len(counts)
     assert (counts[:, 0] < 2).all()
-    assert history.log_evidence.dtype == F64
-    assert_kind(history._replace(log_evidence=history.existence), dtype)
+    in_units = {name: getattr(history, name) for name in ("power", "noise", "log_evidence")}
+    assert {values.dtype for values in in_units.values()} == {F64}
+    assert_kind(history._replace(**dict.fromkeys(in_units, history.existence)), dtype)
 
 
 @DTYPES

@@ -2,9 +2,19 @@ import builtins
 import os
 from types import SimpleNamespace
 
+import pytest
 import torch
+from hydra import compose, initialize_config_module
+from oracles.line_array import make_field, make_region, make_tracker, simulate
 
+from torchdt import memory
+from torchdt.detect.dictionary import build_dictionary
+from torchdt.errors import InputError
+from torchdt.experiment import build
+from torchdt.experiment.settings import settings_of
 from torchdt.memory import free_memory_gb
+from torchdt.scenario.recording import validate
+from torchdt.tracking import track
 
 
 def test_free_memory_of_the_machine(monkeypatch):
@@ -25,3 +35,17 @@ def test_free_memory_of_an_accelerator(monkeypatch):
     module = SimpleNamespace(**{name: lambda device, value=value: value for name, value in numbers.items()})
     monkeypatch.setattr(torch, "get_device_module", lambda device: module)
     assert free_memory_gb(torch.device("cuda")) == 7
+
+
+def test_what_does_not_fit_is_refused_before_it_is_made(monkeypatch):
+    """A dictionary, a sequence to track and a simulation, on a machine of a kilobyte."""
+    recording = validate(step_s=1.0, snapshots=simulate(1, steps=2)[0])
+    with initialize_config_module("torchdt.conf", version_base="1.3"):
+        settings = settings_of(compose("track", overrides=["scenario=line_array"]))
+    monkeypatch.setattr(memory, "free_memory_gb", lambda device: 1e-6)
+    with pytest.raises(InputError, match=r"'scenario.coordinates': found 70 cells of 2 tones.*1e-06 GB"):
+        build_dictionary(make_field(), make_region())
+    with pytest.raises(InputError, match=r"'tracker': found slots, particles and cells.* GB"):
+        track(recording, make_tracker(), [0])
+    with pytest.raises(InputError, match=r"'scenario.num_steps': found 1 runs of 60 steps"):
+        build.simulate(settings)

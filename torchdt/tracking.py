@@ -13,7 +13,7 @@ from torchdt.chunks import MOST_ON_CPU, bytes_per_sequence, plan, run_chunks
 from torchdt.errors import require
 from torchdt.history import TrackHistory, history_like
 from torchdt.keeper import ChunkKeeper, Keeper
-from torchdt.memory import free_memory_gb
+from torchdt.memory import free_memory_gb, require_memory
 from torchdt.prepare import Prepared
 from torchdt.protocol import Tracker
 from torchdt.random import RandomStreams
@@ -55,8 +55,9 @@ def track(
         precision.
 
     Raises:
-        InputError: where the recording does not fit the field, there is not one seed for each sequence,
-            `memory_gb` or `workers` is not positive, or what was kept is of another run.
+        InputError: where the recording does not fit the field, a sequence does not fit into the memory, there
+            is not one seed for each sequence, `memory_gb` or `workers` is not positive, or what was kept is
+            of another run.
         NumericalError: where the filter broke down even without the data of a step, naming it.
         StorageError: where what is done cannot be kept.
     """
@@ -65,8 +66,9 @@ def track(
     device = tracker.region.low.device
     if memory_gb is None:
         memory_gb = free_memory_gb(device) / 2
-    most = MOST_ON_CPU if device.type == "cpu" else None
-    chunks = plan(number, bytes_per_sequence(tracker, recording), memory_gb, workers, most)
+    most, size = MOST_ON_CPU if device.type == "cpu" else None, bytes_per_sequence(tracker, recording)
+    require_memory(size, device, "tracker", "slots, particles and cells that one sequence needs")
+    chunks = plan(number, size, memory_gb, workers, most)
     if keep is not None:
         chunks = keep.plan(chunks)
     shape = number, recording.num_steps, len(chunks), min(workers, number), memory_gb

@@ -8,6 +8,7 @@ from torch import Tensor
 from torchdt.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics
 from torchdt.errors import InputError, require
 from torchdt.field.base import BaseField, Field, as_field, of_each
+from torchdt.memory import require_memory
 from torchdt.model.measurement import Measurement
 from torchdt.model.region import Region
 
@@ -31,9 +32,14 @@ def build_dictionary(field: Field, region: Region) -> Dictionary:
     """Evaluate a field on the region's grid of cells, at the rates in the middle of the region's.
 
     Raises:
-        InputError: where what the field returns has the wrong shape or type, or is not finite in some cell.
+        InputError: where what the field returns has the wrong shape or type, or is not finite in some cell, or
+            the responses do not fit into the memory.
     """
     field, points = as_field(field), region.cell_centres()
+    found = f"{len(points)} cells of {field.num_tones} tones and {field.num_sensors} sensors"
+    numbers = 2 * of_each(field, points)[..., 0].numel() * field.num_tones * field.num_sensors
+    twice = 2 * numbers * points.dtype.itemsize  # joined of parts
+    require_memory(twice, points.device, "scenario.coordinates", found)
     with torch.no_grad():
         parts = [_responses(field, region.complete(part)) for part in points.split(4096)]
     response = torch.cat(parts, -2).contiguous()

@@ -1,6 +1,7 @@
 """Objects from settings: fields, recordings, trackers."""
 
 import logging
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from torchdt.experiment.signals import read_signals
 from torchdt.experiment.tart_recording import read_sky
 from torchdt.field.base import BaseField
 from torchdt.field.build import EnvironmentDraw
+from torchdt.memory import require_memory
 from torchdt.model.region import Coordinate, Region
 from torchdt.protocol import Tracker
 from torchdt.scenario.generate import generate_snapshots
@@ -93,8 +95,12 @@ def simulate(settings: TrackSettings) -> Recording:
     """
     # A departure from the nominal environment is the tracker's; scenarios make their own.
     scenario, target = settings.scenario, {k: v for k, v in settings.field.items() if k != "draw"}
-    num_coordinates = build_field(target, torch.float64, "cpu").num_coordinates
-    check_coordinates(settings, num_coordinates)
+    array = build_field(target, torch.float64, "cpu")
+    check_coordinates(settings, array.num_coordinates)
+    shape = settings.runs, scenario.num_steps, array.num_tones, scenario.num_snapshots, array.num_sensors
+    size = 3 * math.prod(shape) * torch.complex128.itemsize  # one sequence's parts beside all that are done
+    found = "{} runs of {} steps, {} tones, {} snapshots and {} sensors".format(*shape)
+    require_memory(size, torch.device("cpu"), "scenario.num_steps", found)
     region = Region(build_region(settings, torch.float64).coordinates, torch.float64)
     snapshots, truth = [], []
     nominal = None if not scenario.mismatch.matched else build_field(target, torch.float64, "cpu")

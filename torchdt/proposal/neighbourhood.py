@@ -1,9 +1,10 @@
-"""Where a new object may be: a box around its pick that holds the likelihood, and no place in two boxes.
+"""Where a new object may be: a box around its pick that holds the likelihood, and no place for two.
 
 Objects are born anywhere in the region with the density `mu_B` over its cells. Of that density a potential
 object takes what lies where its likelihood is: the box starts as one cell and doubles, coordinate by
-coordinate, until little of the likelihood is left near its sides. A place in the boxes of several picks
-belongs to the nearest of these, or one object would be counted several times.
+coordinate, until little of the likelihood is left near its sides. Boxes may overlap, and of two picks one may
+be the other once more: of the places where picks see their objects, one that is in several belongs to the
+smallest, or an object would be counted several times.
 """
 
 import math
@@ -13,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchdt.model.region import Region
-from torchdt.particles.adaptive import Box
+from torchdt.particles.adaptive import Box, Gaussian
 from torchdt.particles.weights import normalise
 
 OUTER = 0.01
@@ -41,43 +42,56 @@ def grow(log_likelihood: Callable[[Tensor], Tensor], peak: Tensor, region: Regio
     half = (region.cell / 2).expand_as(peak).clone()
     growing = torch.ones_like(peak, dtype=torch.bool)
     for doubling in range(math.ceil(math.log2(max(region.grid_shape))) + 1):
-        box = _around(peak, half, region)
-        # The peak itself is among the points: where all others miss a sharp likelihood, nothing is outside.
-        points = torch.cat([peak[..., None, :], box.sample(rounds[doubling % len(rounds)])], -2)
-        weight = normalise(log_likelihood(points))[0].exp()[..., None]
-        outer = (points - peak[..., None, :]).abs() > half[..., None, :] / 2
-        growing = growing & ((weight * outer).sum(-2) > OUTER)
+        points = _spread(_around(peak, half, region), peak, rounds[doubling % len(rounds)])
+        log_weight = log_likelihood(points.flatten(-3, -2)).unflatten(-1, points.shape[-3:-1])
+        weight = normalise(log_weight)[0].exp()[..., None]
+        outer = (points - peak[..., None, None, :]).abs() > half[..., None, None, :] / 2
+        growing = growing & ((weight * outer).sum(-2) > OUTER).any(-2)
         if not bool(growing.any()):
             break
         half = torch.where(growing, 2 * half, half)
     return _around(peak, half, region)
 
 
+def _spread(box: Box, peak: Tensor, draws: Tensor) -> Tensor:
+    """Sets of points `(*batch, 1 + d, S + 1, d)`: all over a box, and along each coordinate through its peak.
+
+    A likelihood that is sharp in one coordinate is missed by points all over the box, however far it reaches
+    in another. The peak is part of each set: where all others miss, nothing is outside.
+    """
+    points, centre = box.sample(draws)[..., None, :, :], peak[..., None, None, :]
+    along = torch.eye(peak.shape[-1], dtype=torch.bool, device=peak.device)[:, None]
+    sets = torch.cat([points, torch.where(along, points, centre)], -3)
+    return torch.cat([centre.expand_as(sets[..., :1, :]), sets], -2)
+
+
 def _around(peak: Tensor, half: Tensor, region: Region) -> Box:
     return Box(torch.maximum(peak - half, region.low), torch.minimum(peak + half, region.high))
 
 
-def drop_foreign(
-    position: Tensor, log_weight: Tensor, peaks: Tensor, boxes: Box, active: Tensor, region: Region
-) -> Tensor:
+def drop_foreign(position: Tensor, log_weight: Tensor, places: Box, active: Tensor) -> Tensor:
     """Take the weight from particles at places that belong to another pick, see above.
 
     Args:
-        position: `(*batch, Q, P, d)` in the boxes of their own picks.
+        position: `(*batch, Q, P, d)`.
         log_weight: `(*batch, Q, P)`.
-        peaks: `(*batch, Q, d)`.
-        boxes: of batch `(*batch, Q)`.
+        places: of batch `(*batch, Q)`.
         active: `(*batch, Q)` bool, the picks that count.
-        region: its cell is the unit of each coordinate.
     """
     points = position[..., None, :]
-    low, high, centre = (t[..., None, None, :, :] for t in (*boxes, peaks))
-    holds = ((points >= low) & (points <= high)).all(-1) & active[..., None, None, :]
-    distance = ((points - centre) / region.cell).square().sum(-1)  # (*batch, Q, P, Q)
-    own = torch.eye(peaks.shape[-2], dtype=torch.bool, device=peaks.device)[:, None, :]
-    nearest = torch.where(holds | own, distance, torch.inf).argmin(-1)
-    mine = torch.arange(peaks.shape[-2], device=peaks.device)[:, None]
-    return torch.where(nearest == mine, log_weight, -torch.inf)
+    low, high = (corner[..., None, None, :, :] for corner in places)
+    holds = ((points >= low) & (points <= high)).all(-1) & active[..., None, None, :]  # (*batch, Q, P, Q)
+    edge = (places.high - places.low).clamp_min(torch.finfo(position.dtype).tiny)
+    size = edge.log().sum(-1)[..., None, None, :]
+    owner = torch.where(holds, size, torch.inf).argmin(-1)
+    own = torch.arange(active.shape[-1], device=active.device)[:, None]
+    return torch.where(holds.any(-1) & (owner != own), -torch.inf, log_weight)
+
+
+def place_of(fitted: Gaussian, box: Box) -> Box:
+    """Where a pick sees its object: within three deviations of what was fitted to it, in its box."""
+    reach = 3 * torch.linalg.vector_norm(fitted.tril, dim=-1)
+    return Box(torch.maximum(fitted.mean - reach, box.low), torch.minimum(fitted.mean + reach, box.high))
 
 
 def log_cells(boxes: Box, region: Region) -> Tensor:

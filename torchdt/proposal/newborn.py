@@ -24,9 +24,9 @@ from torchdt.model.gamma_chain import uniform_prior_around
 from torchdt.model.kinematics import drop_outside
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask_covariance
 from torchdt.model.region import Region
-from torchdt.particles.adaptive import Box, adapt
+from torchdt.particles.adaptive import Box, Density, adapt
 from torchdt.proposal.moved import Draws, respond
-from torchdt.proposal.neighbourhood import cell_around, drop_foreign, grow, log_cells
+from torchdt.proposal.neighbourhood import cell_around, drop_foreign, grow, log_cells, place_of
 from torchdt.state import Noise, Objects, weighted_mean
 
 UNSETTLED = 0.25
@@ -202,7 +202,11 @@ def propose_newborn(
 
     peak, draws_of_rounds = picks.position, rounds.movedim(-3, 0)
     prior = grow(log_likelihood, peak, region, draws_of_rounds) if adapted else cell_around(peak, region)
-    proposal = adapt(log_likelihood, prior, draws_of_rounds) if adapted else prior
+    proposal: Density = prior
+    places = prior
+    if adapted:
+        proposal = mixture = adapt(log_likelihood, prior, draws_of_rounds)
+        places = place_of(mixture.fitted, prior)
     d = region.num_coordinates
     position = proposal.sample(final[..., :d])
     rate = region.rate_low + (region.rate_high - region.rate_low) * torch.special.ndtr(final[..., d:])
@@ -212,7 +216,7 @@ def propose_newborn(
     log_weight = log_prior - proposal.log_prob(position) - math.log(final.shape[-2])
     state = torch.cat([position, rate], -1)
     log_weight = drop_outside(state, log_weight, region)
-    log_weight = drop_foreign(position, log_weight, peak, prior, picks.active, region)
+    log_weight = drop_foreign(position, log_weight, places, picks.active)
     odds = torch.where(picks.active, log_odds[..., None], -torch.inf)
     label = torch.zeros(picks.active.shape, dtype=torch.int64, device=state.device)
     return Objects(state, log_weight, power, log_power_weight, odds, label), respond(field, state)
