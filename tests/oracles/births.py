@@ -46,7 +46,7 @@ def two_objects(
     respond: Callable, x: Tensor, y: Tensor, factor: Tensor, num_snapshots: int, noise: float, limit: float
 ):
     """Log of f_2 over f_0 at pairs of bearings `(X,)` and `(Y,)`, `(X, Y)`."""
-    power, log_weight = uniform_powers(limit, 36)
+    power, log_weight = uniform_powers(limit, 60)
     root = torch.cartesian_prod(power, power).sqrt()
     log_weight = (log_weight[:, None] + log_weight).flatten()
     total = 0

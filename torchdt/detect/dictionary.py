@@ -32,8 +32,8 @@ def build_dictionary(field: Field, region: Region) -> Dictionary:
     """Evaluate a field on the region's grid of cells, at the rates in the middle of the region's.
 
     Raises:
-        InputError: where what the field returns has the wrong shape or type, or is not finite in some cell, or
-            the responses do not fit into the memory.
+        InputError: where what the field returns has the wrong shape or type or is not finite, or the
+            responses do not fit into the memory.
     """
     field, points = as_field(field), region.cell_centres()
     found = f"{len(points)} cells of {field.num_tones} tones and {field.num_sensors} sensors"
