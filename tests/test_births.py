@@ -72,10 +72,10 @@ def exact(measurement: Measurement, *sources: float) -> tuple[float, float]:
     settings = measurement.factor, SNAPSHOTS, ETA, LIMIT
     x = bearings(-70, 70, 0.05)
     orders = [0.0, (one_object(FIELD, x, *settings).logsumexp(-1) + math.log(0.05 / 140)).item()]
-    if len(sources) == 2:  # everything but pairs within three degrees of them is e^-10 of it
-        x, y = (bearings(b - 3, b + 3, 0.2) for b in sources)
+    if len(sources) == 2:  # everything but pairs within seven degrees of them is e^-10 of it
+        x, y = (bearings(b - 7, b + 7, 0.25) for b in sources)
         pairs = two_objects(FIELD, x, y, *settings).flatten().logsumexp(-1)
-        orders.append(pairs.item() + 2 * math.log(0.2 / 140))  # either order, over two
+        orders.append(pairs.item() + 2 * math.log(0.25 / 140))  # either order, over two
     terms = torch.tensor([t + n * math.log(BIRTH_MEAN) for n, t in enumerate(orders)], dtype=F64)
     number = (terms.softmax(0) * torch.arange(len(orders))).sum()
     return (terms.logsumexp(0) - BIRTH_MEAN).item(), (number - BIRTH_MEAN).item()

@@ -27,9 +27,12 @@ def likelihood_ratio(columns: Tensor, factor: Tensor, num_snapshots: int, noise:
 
 
 def uniform_powers(limit: float, num: int) -> tuple[Tensor, Tensor]:
-    """Points and log-weights of the uniform density on [0, limit], dense at small powers."""
-    edge = torch.cat([torch.zeros(1).double(), limit * torch.logspace(-4, 0, num, dtype=torch.float64)])
-    return (edge[1:] + edge[:-1]) / 2, edge.diff().log() - math.log(limit)
+    """Points and log-weights of the uniform density on [0, limit]: the trapezoid rule in log-power."""
+    log_share = torch.linspace(-4 * math.log(10), 0, num, dtype=torch.float64)
+    log_weight = log_share + (log_share[1] - log_share[0]).log()
+    log_weight[-1] -= math.log(2)
+    log_weight[0] = log_share[0]  # and all below
+    return limit * log_share.exp(), log_weight
 
 
 def one_object(respond: Callable, x: Tensor, factor: Tensor, num_snapshots: int, noise: float, limit: float):
@@ -46,7 +49,7 @@ def two_objects(
     respond: Callable, x: Tensor, y: Tensor, factor: Tensor, num_snapshots: int, noise: float, limit: float
 ):
     """Log of f_2 over f_0 at pairs of bearings `(X,)` and `(Y,)`, `(X, Y)`."""
-    power, log_weight = uniform_powers(limit, 60)
+    power, log_weight = uniform_powers(limit, 26)
     root = torch.cartesian_prod(power, power).sqrt()
     log_weight = (log_weight[:, None] + log_weight).flatten()
     total = 0
