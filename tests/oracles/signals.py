@@ -16,12 +16,13 @@ def plane_wave_signals(
     generator: np.random.Generator,
     noise: float,
 ) -> NDArray:
-    """Cosines of amplitude 1 that reach each sensor late by its delay, in white noise; (channels, samples).
+    """Cosines of amplitude 1 that reach each sensor early by its place, in white noise; (channels, samples).
 
-    The bearing may change from sample to sample.
+    A wave from a positive bearing is heard first by the sensor of the largest position. The bearing may change
+    from sample to sample.
     """
-    delay = np.outer(positions, np.sin(np.radians(bearings_deg))) / 1500.0
-    time = np.arange(len(bearings_deg)) / sample_rate - delay
+    early = np.outer(positions, np.sin(np.radians(bearings_deg))) / 1500.0
+    time = np.arange(len(bearings_deg)) / sample_rate + early
     signal = sum(np.cos(2 * np.pi * f * time + generator.uniform(0, 2 * np.pi)) for f in freqs)
     return signal + noise * generator.standard_normal(signal.shape)
 
