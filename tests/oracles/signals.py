@@ -18,8 +18,8 @@ def plane_wave_signals(
 ) -> NDArray:
     """Cosines of amplitude 1 that reach each sensor early by its place, in white noise; (channels, samples).
 
-    A wave from a positive bearing is heard first by the sensor of the largest position. The bearing may change
-    from sample to sample.
+    A wave from a positive bearing is heard first by the sensor of the largest position. The bearing may
+    change from sample to sample.
     """
     early = np.outer(positions, np.sin(np.radians(bearings_deg))) / 1500.0
     time = np.arange(len(bearings_deg)) / sample_rate + early
