@@ -74,8 +74,8 @@ def test_overrides_compose(job):
 def test_two_commands():
     first, second = (line for line in commands(README) if line.startswith("python3"))
     assert first.endswith("&& python experiments/track.py")
-    assert second.endswith("&& python -m pytest")
-    assert "python -m pytest\n" in (ROOT / ".ci" / "run").read_text()
+    assert second.endswith("&& python -m pytest -n 2")
+    assert "python -m pytest -n 2\n" in (ROOT / ".ci" / "run").read_text()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
