@@ -11,6 +11,7 @@ from torchdt.config import TrackerConfig
 from torchdt.detect.dictionary import build_dictionary
 from torchdt.errors import InputError
 from torchdt.field import LineArrayField
+from torchdt.field.stacked import StackedField
 from torchdt.model.region import Coordinate, Region
 from torchdt.scenario.recording import validate
 from torchdt.tracker import DirectTracker
@@ -34,7 +35,7 @@ def test_region_and_field_have_the_same_coordinates(kind, number):
 
 
 @TRACKERS
-@pytest.mark.parametrize("step_s", [0.0, -1.0, math.nan, math.inf, None])
+@pytest.mark.parametrize("step_s", [0.0, -1.0, math.nan, math.inf, None, True])
 def test_a_step_takes_time(kind, step_s):
     with pytest.raises(InputError, match=r"'step_s': found .*, expected a positive number of seconds"):
         kind(make_field(), make_region(), step_s, CONFIGS[kind])
@@ -53,6 +54,15 @@ def test_a_step_is_that_of_the_recording(kind, step_s, fits):
     else:
         with pytest.raises(InputError, match=f"'step_s': found {step_s} s in the tracker, expected 1.0 s"):
             track(recording, tracker, [0])
+
+
+@TRACKERS
+@pytest.mark.parametrize("number", [2, 4])
+def test_a_field_for_each_sequence_is_of_those_of_the_recording(kind, number):
+    snapshots = simulate(0, ((0.0, 10.0),), steps=2)[0].expand(3, -1, -1, -1, -1)
+    tracker = kind(StackedField([make_field()] * number), make_region(), 1.0, CONFIGS[kind])
+    with pytest.raises(InputError, match=f"'field': found fields of {number} sequences, expected 3"):
+        track(validate(snapshots=snapshots, step_s=1.0), tracker, [0, 1, 2])
 
 
 def test_a_region_has_a_coordinate():

@@ -42,8 +42,8 @@ def require_step(step_s: float) -> float:
     Raises:
         InputError: where it is no positive number.
     """
-    holds = isinstance(step_s, int | float) and 0 < step_s < math.inf
-    require(holds, "step_s", step_s, "a positive number of seconds")
+    number = isinstance(step_s, int | float) and not isinstance(step_s, bool)
+    require(number and 0 < step_s < math.inf, "step_s", step_s, "a positive number of seconds")
     return step_s
 
 

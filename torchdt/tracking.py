@@ -63,6 +63,8 @@ def track(
     """
     number = recording.batch_size
     require(len(seeds) == number, "seeds", len(seeds), f"{number}, one for each sequence")
+    own = tracker.field.num_sequences
+    require(own in (None, number), "field", f"fields of {own} sequences", f"{number}, as in the recording")
     device = tracker.region.low.device
     if memory_gb is None:
         memory_gb = free_memory_gb(device) / 2
