@@ -61,8 +61,8 @@ def history_like(
     """
     of_slot: tuple[int, ...] = (batch, steps, slots)
     shapes = {"state": (*of_slot, dims), "state_std": (*of_slot, dims), "power": (*of_slot, tones)}
-    shapes |= {"noise": (*of_slot[:2], tones), "log_evidence": of_slot[:2]}
-    types = {"declared": torch.bool, "label": torch.int64}
+    shapes |= {"noise": (*of_slot[:2], tones), "log_evidence": of_slot[:2], "failed": of_slot[:2]}
+    types = {"declared": torch.bool, "label": torch.int64, "failed": torch.bool}
     return TrackHistory(
         *(
             torch.empty(shapes.get(name, of_slot), dtype=types.get(name, dtype), device="meta")

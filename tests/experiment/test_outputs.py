@@ -52,10 +52,12 @@ def test_metrics(run):
         "num_runs",
         "seed",
         "log_likelihood",
+        "failed_steps",
         "seconds",
         "steps_per_second",
         "gospa",
     ]
+    assert metrics["failed_steps"] == 0
     assert list(metrics["gospa"]) == ["mean", "localisation", "missed", "false"]
     assert (metrics["tracker"], metrics["num_steps"], metrics["num_runs"], metrics["seed"]) == (
         "direct",

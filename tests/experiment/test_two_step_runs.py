@@ -107,7 +107,7 @@ def fails(status, message, words):
         (
             "mp_bp",
             "tracker.spread={range: -1}",
-            ("key 'tracker.spread'", "found {'range': -1.0", "positive numbers"),
+            ("key 'tracker.spread'", "found {'range': -1.0", "each a positive number"),
         ),
         ("mp_bp", "tracker.spread=[1]", ("tracker.spread", "ListConfig")),
         ("mp_bp", "tracker.births=3", ("'births'", "not in 'TwoStepConfig'")),
