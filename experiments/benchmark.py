@@ -1,6 +1,6 @@
 """Measure time and memory beside plain implementations: `python experiments/benchmark.py --help`."""
 
-from torchdt.experiment.job import job
+from torchdt.app.job import job
 
 main = job("benchmark")
 

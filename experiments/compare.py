@@ -1,6 +1,6 @@
 """Compare trackers on a suite of scenarios: `python experiments/compare.py --help`."""
 
-from torchdt.experiment.job import job
+from torchdt.app.job import job
 
 main = job("compare")
 

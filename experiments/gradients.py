@@ -1,6 +1,6 @@
 """Compare estimators of the likelihood's gradient: `python experiments/gradients.py --help`."""
 
-from torchdt.experiment.job import job
+from torchdt.app.job import job
 
 main = job("gradients")
 

@@ -1,6 +1,6 @@
 """Score the tracker on a suite of scenarios: `python experiments/quality.py --help`."""
 
-from torchdt.experiment.job import job
+from torchdt.app.job import job
 
 main = job("quality")
 

@@ -1,6 +1,6 @@
 """Track satellites over a TART radio array: `python experiments/tart.py data.path=FILE`."""
 
-from torchdt.experiment.job import job
+from torchdt.app.job import job
 
 main = job("tart")
 

@@ -1,6 +1,6 @@
 """Track objects directly from array snapshots: `python experiments/track.py --help`."""
 
-from torchdt.experiment.job import job
+from torchdt.app.job import job
 
 main = job("track")
 

@@ -1,6 +1,6 @@
 """Tune a two-step tracker for the lowest GOSPA: `python experiments/tune_points.py --help`."""
 
-from torchdt.experiment.job import job
+from torchdt.app.job import job
 
 main = job("tune_points")
 

@@ -13,24 +13,24 @@ from oracles.waveguide import make_field as make_waveguide
 from oracles.waveguide import make_region as make_water
 from torch import Tensor
 
-from torchdt.config import TrackerConfig
-from torchdt.detect.config import PursuitConfig, SblConfig
+from torchdt.baselines.detect.config import PursuitConfig, SblConfig
+from torchdt.baselines.two_step import TwoStepConfig, TwoStepTracker
+from torchdt.core.random import RandomStreams
+from torchdt.data.recording import Recording, validate
 from torchdt.field.mismatch import MismatchedField
 from torchdt.field.plane_wave import LineArrayField
 from torchdt.field.stacked import StackedField
-from torchdt.history import TrackHistory
-from torchdt.likelihood import log_likelihood
+from torchdt.filter.config import TrackerConfig
+from torchdt.filter.direct import DirectTracker
+from torchdt.filter.history import TrackHistory
+from torchdt.filter.likelihood import log_likelihood
+from torchdt.filter.tracker import Tracker
 from torchdt.metrics import gospa
 from torchdt.metrics.delays import track_delays
 from torchdt.model.measurement import from_snapshots
 from torchdt.model.parameters import Parameters, default_parameters
 from torchdt.model.prior import data_priors
-from torchdt.protocol import Tracker
-from torchdt.random import RandomStreams
-from torchdt.scenario.recording import Recording, validate
-from torchdt.tracker import DirectTracker
-from torchdt.tracking import track
-from torchdt.two_step import TwoStepConfig, TwoStepTracker
+from torchdt.run.track import track
 
 F32, F64 = torch.float32, torch.float64
 DTYPES = pytest.mark.parametrize("dtype", [F32, F64])

@@ -7,14 +7,14 @@ from oracles.line_array import FREQS, POSITIONS
 from oracles.waveguide import make_field, make_region
 from torch import Tensor
 
-from torchdt.bp.moments import response_moment, signal_covariance, signal_without_each
-from torchdt.bp.rank_one import Whitener, log_likelihood_ratio, peak_log_likelihood_ratio, statistics
-from torchdt.config import TrackerConfig
-from torchdt.detect.dictionary import build_dictionary
 from torchdt.field.base import Field
 from torchdt.field.mismatch import MismatchedField
 from torchdt.field.plane_wave import LineArrayField
 from torchdt.field.stacked import StackedField
+from torchdt.filter.bp.moments import response_moment, signal_covariance, signal_without_each
+from torchdt.filter.bp.rank_one import Whitener, log_likelihood_ratio, peak_log_likelihood_ratio, statistics
+from torchdt.filter.config import TrackerConfig
+from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.model.birth import birth_log_odds, log_no_birth
 from torchdt.model.gamma_chain import (
     predict_chain,
@@ -22,8 +22,13 @@ from torchdt.model.gamma_chain import (
     uniform_prior,
     uniform_prior_around,
 )
-from torchdt.model.kinematics import drop_outside, predict_log_odds, predict_moments, predict_state
 from torchdt.model.measurement import from_snapshots
+from torchdt.model.motion.constant_velocity import (
+    drop_outside,
+    predict_log_odds,
+    predict_moments,
+    predict_state,
+)
 from torchdt.model.parameters import default_parameters
 from torchdt.model.prior import data_priors
 

@@ -17,7 +17,7 @@ WANTED = ("pyproject.toml", "README.md", "LICENSE", "torchdt", "conf")
 COMPOSE = """
 from pathlib import Path
 from hydra import compose, initialize_config_module
-import torchdt.conf, torchdt.experiment.track
+import torchdt.conf, torchdt.app.track
 with initialize_config_module("torchdt.conf", version_base="1.3"):
     print(compose("track", overrides=["scenario=line_array"]).scenario.name)
 print(Path(torchdt.conf.__file__).parent)

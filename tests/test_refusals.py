@@ -7,16 +7,16 @@ import torch
 from oracles.line_array import BEARING, FREQS, POSITIONS, make_field, make_region, simulate
 from oracles.waveguide import make_field as make_waveguide
 
-from torchdt.config import TrackerConfig
-from torchdt.detect.dictionary import build_dictionary
-from torchdt.errors import InputError
+from torchdt.baselines.two_step import TwoStepConfig, TwoStepTracker
+from torchdt.core.errors import InputError
+from torchdt.data.recording import validate
 from torchdt.field import LineArrayField
 from torchdt.field.stacked import StackedField
+from torchdt.filter.config import TrackerConfig
+from torchdt.filter.direct import DirectTracker
+from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.model.region import Coordinate, Region
-from torchdt.scenario.recording import validate
-from torchdt.tracker import DirectTracker
-from torchdt.tracking import track
-from torchdt.two_step import TwoStepConfig, TwoStepTracker
+from torchdt.run.track import track
 
 F64 = torch.float64
 CONFIGS = {DirectTracker: TrackerConfig(slots=2, particles=10), TwoStepTracker: TwoStepConfig(slots=2)}

@@ -6,7 +6,7 @@ from oracles.line_array import make_tracker, simulate
 from oracles.scripts import SMALL
 
 from torchdt.benchmark import memory
-from torchdt.scenario.recording import validate
+from torchdt.data.recording import validate
 
 
 def test_the_memory_of_a_run_is_that_of_a_fresh_process():

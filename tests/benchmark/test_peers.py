@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchdt.benchmark import peers
-from torchdt.random import RandomStreams
+from torchdt.core.random import RandomStreams
 
 
 def kalman(first, measured):

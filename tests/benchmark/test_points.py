@@ -3,11 +3,11 @@ import math
 import pytest
 import torch
 
+from torchdt.baselines.mot.config import PointConfig
+from torchdt.baselines.mot.likelihood import GaussianPosition
+from torchdt.baselines.mot.tracker import PointTracker
 from torchdt.benchmark.points import FALSE, OBJECTS, TIMED, WARM_UP, measure_points, simulate_points
 from torchdt.model.region import Coordinate, Region
-from torchdt.mot.config import PointConfig
-from torchdt.mot.likelihood import GaussianPosition
-from torchdt.mot.tracker import PointTracker
 
 
 def test_points_are_tracked_while_the_clock_runs():

@@ -6,10 +6,10 @@ import pytest
 import torch
 from oracles.line_array import make_field, make_region, simulate
 
+from torchdt.baselines.detect.config import SblConfig
+from torchdt.baselines.detect.sbl import SparseBayesianLearning
 from torchdt.benchmark import sbl
-from torchdt.detect.config import SblConfig
-from torchdt.detect.dictionary import build_dictionary
-from torchdt.detect.sbl import SparseBayesianLearning
+from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.model.measurement import from_snapshots
 
 PATHS = (((0.0, -20.0), (20.0, -20.0)), ((0.0, 30.0), (20.0, 30.0)))

@@ -6,7 +6,7 @@ import torch
 from oracles.line_array import make_tracker, simulate
 
 from torchdt.benchmark import scaling
-from torchdt.scenario.recording import validate
+from torchdt.data.recording import validate
 
 BASE = {"slots": 2, "particles": 20, "tones": 2, "sensors": 5, "snapshots": 3, "batch": 1, "sweeps": 1}
 

@@ -6,9 +6,9 @@ import torch
 from oracles.line_array import make_tracker, simulate
 
 from torchdt.benchmark import steps
-from torchdt.errors import InputError
-from torchdt.random import RandomStreams
-from torchdt.scenario.recording import validate
+from torchdt.core.errors import InputError
+from torchdt.core.random import RandomStreams
+from torchdt.data.recording import validate
 
 PATHS = (((0.0, -20.0), (20.0, -20.0)), ((0.0, 30.0), (20.0, 30.0)))
 PARTS = [

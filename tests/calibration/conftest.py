@@ -10,8 +10,8 @@ from oracles.arrays import complex_normal
 from torch import Tensor
 
 from torchdt.field.build import EnvironmentDraw, waveguide
-from torchdt.field.family import WaveguideFamily
-from torchdt.field.waveguide import NormalModeField
+from torchdt.field.waveguide.family import WaveguideFamily
+from torchdt.field.waveguide.waveguide import NormalModeField
 from torchdt.model.measurement import Measurement, from_snapshots
 
 FIELD = Path(__file__).parents[2] / "conf" / "field" / "swellex96.yaml"

@@ -8,8 +8,8 @@ from oracles.devices import default_dtype, foreign_defaults
 
 from torchdt.calibration.environment import Calibration, CalibrationConfig, calibrate
 from torchdt.field.build import EnvironmentDraw, waveguide
-from torchdt.field.family import WaveguideFamily
-from torchdt.field.waveguide import NormalModeField
+from torchdt.field.waveguide.family import WaveguideFamily
+from torchdt.field.waveguide.waveguide import NormalModeField
 from torchdt.model.prior import data_priors
 from torchdt.model.region import Coordinate, Region
 

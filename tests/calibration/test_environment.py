@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from torchdt.calibration.environment import Calibration, CalibrationConfig, calibrate
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import data_priors
 from torchdt.model.region import Coordinate, Region

@@ -9,19 +9,19 @@ from oracles.waveguide import make_field as make_waveguide
 from oracles.waveguide import make_region as make_water
 from torch import Tensor
 
-from torchdt.config import TrackerConfig
-from torchdt.detect.config import PursuitConfig, SblConfig
-from torchdt.errors import InputError
+from torchdt.baselines.detect.config import PursuitConfig, SblConfig
+from torchdt.baselines.two_step import TwoStepConfig, TwoStepTracker
+from torchdt.core.errors import InputError
+from torchdt.data.recording import validate
 from torchdt.field import LineArrayField, PlaneWaveField
 from torchdt.field.base import as_field, repeat_field
 from torchdt.field.mismatch import MismatchedField
 from torchdt.field.stacked import StackedField
 from torchdt.field.wrapped import CompletedField
+from torchdt.filter.config import TrackerConfig
+from torchdt.filter.direct import DirectTracker
 from torchdt.model.region import Coordinate, Region
-from torchdt.scenario.recording import validate
-from torchdt.tracker import DirectTracker
-from torchdt.tracking import track
-from torchdt.two_step import TwoStepConfig, TwoStepTracker
+from torchdt.run.track import track
 
 F64 = torch.float64
 GROUND = [[x, y, 0.0] for x in (0.0, 0.1, 0.2) for y in (0.0, 0.1, 0.2)]

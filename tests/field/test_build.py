@@ -5,7 +5,7 @@ import logging
 import pytest
 import torch
 
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
 from torchdt.field.build import line_array, plane_wave, spherical_wave, waveguide
 
 WIDE = [[0.0, 0.0, 0.0], [3.7, 0.0, 0.0], [0.0, 3.7, 0.0]]

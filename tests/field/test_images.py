@@ -4,14 +4,14 @@ import pytest
 import torch
 from oracles.line_array import FREQS, POSITIONS
 
-from torchdt.config import TrackerConfig
-from torchdt.errors import InputError
+from torchdt.baselines.two_step import TwoStepConfig, TwoStepTracker
+from torchdt.core.errors import InputError
 from torchdt.field import LineArrayField, PlaneWaveField, SphericalWaveField
 from torchdt.field.mismatch import MismatchedField
 from torchdt.field.stacked import StackedField
+from torchdt.filter.config import TrackerConfig
+from torchdt.filter.direct import DirectTracker
 from torchdt.model.region import Coordinate, Region
-from torchdt.tracker import DirectTracker
-from torchdt.two_step import TwoStepConfig, TwoStepTracker
 
 F64 = torch.float64
 GROUND = [[x, y, 0.0] for x in (0.0, 4.0) for y in (0.0, 3.0, 7.0)]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
 from torchdt.field import Field, LineArrayField, PlaneWaveField
 
 FREQS = (60.0, 200.0)

@@ -7,13 +7,13 @@ from oracles.line_array import SMALL
 from oracles.waveguide import DEPTHS, WATER
 from oracles.waveguide import FREQS as TONES
 
-from torchdt.config import TrackerConfig
+from torchdt.data.recording import validate
+from torchdt.data.signals.spectra import tone_snapshots
 from torchdt.field import LineArrayField, NormalModeField, PlaneWaveField, SphericalWaveField
+from torchdt.filter.config import TrackerConfig
+from torchdt.filter.direct import DirectTracker
 from torchdt.model.region import Coordinate, Region
-from torchdt.scenario.recording import validate
-from torchdt.signals.spectra import tone_snapshots
-from torchdt.tracker import DirectTracker
-from torchdt.tracking import track
+from torchdt.run.track import track
 
 F64 = torch.float64
 SPEED, RATE, FREQ = 1500.0, 1024.0, 128.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
 from torchdt.field import Field, PlaneWaveField, SphericalWaveField
 from torchdt.field.spherical_wave import MIN_DISTANCE
 

@@ -5,13 +5,13 @@ import torch
 from oracles.arrays import complex_normal
 from oracles.line_array import FREQS, POSITIONS, make_region
 
-from torchdt.bp.rank_one import whiten
-from torchdt.detect.dictionary import bartlett_surface, build_dictionary, likelihood_surface
 from torchdt.field import Field, NormalModeField
 from torchdt.field.base import repeat_field
 from torchdt.field.mismatch import MismatchedField
 from torchdt.field.plane_wave import LineArrayField
 from torchdt.field.stacked import StackedField
+from torchdt.filter.bp.rank_one import whiten
+from torchdt.filter.proposal.dictionary import bartlett_surface, build_dictionary, likelihood_surface
 from torchdt.model.measurement import Measurement, from_snapshots
 
 F64 = torch.float64

@@ -4,7 +4,7 @@ import math
 import pytest
 import torch
 
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
 from torchdt.metrics import gospa
 
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import torch
 
-from torchdt.errors import InputError
-from torchdt.history import TrackHistory
+from torchdt.core.errors import InputError
+from torchdt.filter.history import TrackHistory
 from torchdt.metrics.gospa import gospa
 from torchdt.metrics.tgospa import tgospa, trajectories
 

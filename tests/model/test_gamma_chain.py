@@ -5,6 +5,7 @@ import torch
 from scipy.special import exp1, gammaincc, polygamma
 from torch.distributions import Gamma
 
+from torchdt.core.weights import weighted_mean
 from torchdt.model.gamma_chain import (
     LEAST_SHAPE,
     predict_chain,
@@ -12,7 +13,6 @@ from torchdt.model.gamma_chain import (
     uniform_prior,
     uniform_prior_around,
 )
-from torchdt.state import weighted_mean
 
 
 def log_moments(values, log_weight):

@@ -6,7 +6,7 @@ import torch
 from omegaconf import OmegaConf
 from torch.func import functional_call
 
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
 from torchdt.model.hyperparameters import (
     SUPPORTS,
     VECTORS,

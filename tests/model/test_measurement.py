@@ -10,7 +10,7 @@ from oracles.arrays import (
 )
 from torch.distributions import MultivariateNormal
 
-from torchdt.linalg import NumericalError
+from torchdt.core.linalg import NumericalError
 from torchdt.model.measurement import (
     from_covariance,
     from_snapshots,

@@ -3,8 +3,8 @@ import pytest
 import torch
 from oracles.line_array import make_region, make_tracker
 
-from torchdt.config import TrackerConfig
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
+from torchdt.filter.config import TrackerConfig
 from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings
 from torchdt.model.parameters import Parameters, default_parameters, stack_parameters, widen, with_values
 from torchdt.model.region import Coordinate, Region

@@ -2,7 +2,7 @@ import pytest
 import torch
 from oracles.arrays import complex_normal, sample_covariance
 
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
 from torchdt.model.measurement import from_covariance, from_snapshots
 from torchdt.model.prior import data_priors, data_scale
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 from oracles.waveguide import make_field
 
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
 from torchdt.model.region import Coordinate, Region
 
 RANGE = Coordinate("range", "m", 1000.0, 1100.0, 25.0, -4.0, 4.0, 1e-2)

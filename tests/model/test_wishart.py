@@ -6,7 +6,7 @@ from oracles.arrays import complex_normal, random_covariance
 from torch import Tensor
 from torch.distributions import Gamma
 
-from torchdt.linalg import NumericalError
+from torchdt.core.linalg import NumericalError
 from torchdt.model.measurement import from_covariance, gaussian_log_likelihood
 from torchdt.model.wishart import log_normaliser
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import torch
 
-from torchdt.history import TrackHistory
+from torchdt.filter.history import TrackHistory
 
 
 def line_history(label: Sequence[Sequence[int]], position: Sequence[Sequence[float]]) -> TrackHistory:

@@ -8,16 +8,16 @@ import torch
 from oracles.line_array import simulate
 from torch import Tensor
 
-import torchdt.placement
-import torchdt.proposal.moved
-import torchdt.proposal.newborn
-import torchdt.tracker
-from torchdt.likelihood import log_likelihood
+import torchdt.filter.direct
+import torchdt.filter.placement
+import torchdt.filter.proposal.moved
+import torchdt.filter.proposal.newborn
+from torchdt.core.random import RandomStreams
+from torchdt.filter.direct import DirectTracker
+from torchdt.filter.likelihood import log_likelihood
 from torchdt.model.measurement import Measurement, from_snapshots
 from torchdt.model.parameters import Parameters
 from torchdt.model.prior import data_priors
-from torchdt.random import RandomStreams
-from torchdt.tracker import DirectTracker
 
 STEPS = 6
 TWO = (((0.0, -40.0), (12.0, -25.0)), ((0.0, 30.0), (12.0, 20.0)))
@@ -98,10 +98,10 @@ def frozen_proposals() -> Iterator[list[Tape]]:
     with contextlib.ExitStack() as stack:
         tapes = []
         for module, name in (
-            (torchdt.proposal.moved, "draw_adapted"),
-            (torchdt.proposal.newborn, "adapt"),
-            (torchdt.placement, "search"),
-            (torchdt.tracker, "draw_configurations"),
+            (torchdt.filter.proposal.moved, "draw_adapted"),
+            (torchdt.filter.proposal.newborn, "adapt"),
+            (torchdt.filter.placement, "search"),
+            (torchdt.filter.direct, "draw_configurations"),
         ):
             tapes.append(Tape(getattr(module, name)))
             stack.enter_context(mock.patch.object(module, name, tapes[-1]))

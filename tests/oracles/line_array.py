@@ -3,12 +3,12 @@
 import torch
 from torch import Tensor
 
-from torchdt.config import TrackerConfig
 from torchdt.field.plane_wave import LineArrayField
+from torchdt.filter.config import TrackerConfig
+from torchdt.filter.direct import DirectTracker
 from torchdt.model.region import Coordinate, Region
-from torchdt.scenario.settings import CoordinateSettings, PathSettings, ScenarioSettings, SourceSettings
-from torchdt.scenario.simulate import simulate_snapshots
-from torchdt.tracker import DirectTracker
+from torchdt.simulation.settings import CoordinateSettings, PathSettings, ScenarioSettings, SourceSettings
+from torchdt.simulation.simulate import simulate_snapshots
 
 FREQS, POSITIONS = (100.0, 150.0), tuple(5.0 * m for m in range(8))
 BEARING = {

@@ -10,9 +10,9 @@ from collections.abc import Callable
 import torch
 from torch import Generator, Tensor
 
-from torchdt.particles.resampling import systematic_indices
-from torchdt.particles.transition import drive
-from torchdt.particles.weights import normalise
+from torchdt.core.resampling import systematic_indices
+from torchdt.core.weights import normalise
+from torchdt.model.motion.driving import drive
 
 PHI = 0.9
 
@@ -60,7 +60,7 @@ def filter_log_likelihood(
         log_q, log_r: `(B,)`, those of each filter.
         particles: P of each filter.
         rng: of all draws.
-        gradient: of the driving noise, see `torchdt.particles.transition.drive`.
+        gradient: of the driving noise, see `torchdt.model.motion.driving.drive`.
         after_resampling: log-weights `(B, P)` from those before and from the ancestors; with None there is
             no resampling.
     """

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from torchdt.field.modes import ModeTable
+from torchdt.field.waveguide.modes import ModeTable
 
 
 class PlainField:

@@ -6,12 +6,12 @@ import torch
 from oracles.points import Path, make_region, simulate, stacked, true_positions
 from torch import Tensor
 
-from torchdt.detect.points import Points
-from torchdt.history import TrackHistory
-from torchdt.mot.config import PointConfig
-from torchdt.mot.likelihood import GaussianPosition, PointLikelihood
-from torchdt.mot.tracker import PointState, PointTracker
-from torchdt.random import RandomStreams
+from torchdt.baselines.detect.points import Points
+from torchdt.baselines.mot.config import PointConfig
+from torchdt.baselines.mot.likelihood import GaussianPosition, PointLikelihood
+from torchdt.baselines.mot.tracker import PointState, PointTracker
+from torchdt.core.random import RandomStreams
+from torchdt.filter.history import TrackHistory
 
 F64 = torch.float64
 SPREAD = [10.0, 5.0]

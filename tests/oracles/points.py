@@ -6,7 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Generator, Tensor
 
-from torchdt.detect.points import Points
+from torchdt.baselines.detect.points import Points
 from torchdt.model.region import Coordinate, Region
 
 CAPACITY = 12

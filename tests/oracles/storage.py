@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from tempfile import TemporaryFile
 from unittest import mock
 
-from torchdt import atomic
+from torchdt.core import atomic
 
 
 @contextmanager

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from torchdt.field import Environment, HalfSpace, Layer
-from torchdt.field.waveguide import NormalModeField
+from torchdt.field.waveguide.waveguide import NormalModeField
 from torchdt.model.region import Coordinate, Region
 
 FREQS, DEPTHS = (49.0, 148.0), tuple(10.0 + 8.0 * m for m in range(11))

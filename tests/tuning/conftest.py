@@ -3,7 +3,7 @@ from dataclasses import dataclass, field
 import pytest
 import torch
 
-from torchdt.linalg import NumericalError
+from torchdt.core.linalg import NumericalError
 from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings
 
 OPTIMUM = {"survival": 0.9, "birth_mean": 1e-2, "mismatch_share": [0.2, 0.05]}

@@ -4,8 +4,8 @@ import random
 import pytest
 import torch
 
-from torchdt.checkpoint import save_checkpoint
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
+from torchdt.run.checkpoint import save_checkpoint
 from torchdt.tuning.checkpoint import KIND, load_state, require_values, save_state
 from torchdt.tuning.config import TuningConfig
 from torchdt.tuning.gradient import ascend

@@ -1,6 +1,6 @@
 import pytest
 
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
 from torchdt.tuning.config import TuningConfig
 
 

@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from torchdt.field.build import EnvironmentDraw, waveguide
-from torchdt.field.family import WaveguideFamily
+from torchdt.field.waveguide.family import WaveguideFamily
 from torchdt.tuning.fields import environment_fields, share_fields
 
 F64 = torch.float64

@@ -4,7 +4,7 @@ import math
 import pytest
 import torch
 
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
 from torchdt.model.hyperparameters import HyperparameterSettings, PriorSettings
 from torchdt.tuning.config import TuningConfig
 from torchdt.tuning.gradient import ascend

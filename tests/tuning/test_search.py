@@ -4,7 +4,7 @@ from unittest import mock
 import pytest
 import torch
 
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
 from torchdt.tuning.config import TuningConfig
 from torchdt.tuning.search import grid, search, tpe
 from torchdt.tuning.state import set_raw

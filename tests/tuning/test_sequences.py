@@ -1,8 +1,8 @@
 import pytest
 import torch
 
-from torchdt.errors import InputError
-from torchdt.scenario.recording import validate
+from torchdt.core.errors import InputError
+from torchdt.data.recording import validate
 from torchdt.tuning.sequences import stack_recordings
 
 

@@ -2,12 +2,12 @@ import pytest
 import torch
 from oracles.line_array import SMALL, make_field, make_region, make_tracker, simulate
 
-from torchdt.config import TrackerConfig
+from torchdt.core.random import RandomStreams
+from torchdt.data.prepare import prepare
+from torchdt.data.recording import validate
+from torchdt.filter.config import TrackerConfig
 from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings
-from torchdt.prepare import prepare
-from torchdt.random import RandomStreams
-from torchdt.scenario.recording import validate
-from torchdt.tracking import derive_seed
+from torchdt.run.track import derive_seed
 from torchdt.tuning.sequences import stack_recordings
 from torchdt.tuning.tracker import TrackerFamily, TrackerObjective
 

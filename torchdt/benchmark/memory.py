@@ -9,9 +9,9 @@ from typing import Any
 
 import torch
 
-from torchdt.prepare import Prepared
-from torchdt.protocol import Tracker
-from torchdt.report.benchmark import Measured
+from torchdt.app.report.benchmark import Measured
+from torchdt.data.prepare import Prepared
+from torchdt.filter.tracker import Tracker
 
 STATUS = """
 import re, sys
@@ -22,7 +22,7 @@ def kibibytes(key):
 
 RUN = """
 import hydra
-from torchdt.experiment.track import run_track
+from torchdt.app.track import run_track
 before = kibibytes("VmRSS")
 hydra.main(config_path="pkg://torchdt.conf", config_name="track", version_base="1.3")(run_track)()
 print(before, kibibytes("VmHWM"))
@@ -31,7 +31,7 @@ print(before, kibibytes("VmHWM"))
 
 ONLINE = """
 import torch
-from torchdt.random import RandomStreams
+from torchdt.core.random import RandomStreams
 path, threads, steps, early = sys.argv[1], *map(int, sys.argv[2:])
 torch.set_num_threads(threads)
 tracker, prepared = torch.load(path, weights_only=False)

@@ -15,13 +15,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchdt.app.report.benchmark import Measured
 from torchdt.benchmark.clock import clock, clock_in_turn
-from torchdt.model.kinematics import predict_state
-from torchdt.particles.resampling import stop_gradient_weights, systematic_indices
-from torchdt.particles.transition import drive
-from torchdt.particles.weights import normalise
-from torchdt.random import RandomStreams
-from torchdt.report.benchmark import Measured
+from torchdt.core.random import RandomStreams
+from torchdt.core.resampling import stop_gradient_weights, systematic_indices
+from torchdt.core.weights import normalise
+from torchdt.model.motion.constant_velocity import predict_state
+from torchdt.model.motion.driving import drive
 
 STEP_S, DRIVING, SPREAD, RATE = 1.0, 0.05, 10.0, 1.0
 """Step in s; driving noise in (m/s^2)^2; deviation of measured positions in m, of rates at first in m/s."""

@@ -5,14 +5,14 @@ from statistics import fmean, median, quantiles
 
 import torch
 
+from torchdt.app.report.benchmark import Measured
+from torchdt.baselines.detect.points import Points
+from torchdt.baselines.mot.config import PointConfig
+from torchdt.baselines.mot.likelihood import GaussianPosition
+from torchdt.baselines.mot.tracker import PointTracker
 from torchdt.benchmark.clock import clock
-from torchdt.detect.points import Points
+from torchdt.core.random import RandomStreams
 from torchdt.model.region import Coordinate, Region
-from torchdt.mot.config import PointConfig
-from torchdt.mot.likelihood import GaussianPosition
-from torchdt.mot.tracker import PointTracker
-from torchdt.random import RandomStreams
-from torchdt.report.benchmark import Measured
 
 OBJECTS, FALSE, WARM_UP, TIMED = 5, 5, 10, 30
 """Objects, false points per step, steps before and while the clock runs."""

@@ -5,9 +5,9 @@ import math
 import torch
 from torch import Tensor
 
+from torchdt.core.random import RandomStreams
+from torchdt.filter.state import Noise, Objects
 from torchdt.model.measurement import Measurement, from_snapshots
-from torchdt.random import RandomStreams
-from torchdt.state import Noise, Objects
 
 NOISE_VARIANCE = 0.05
 """Of each tone, beside powers around one."""
@@ -45,7 +45,7 @@ def random_problem(
 
     Returns:
         Predicted objects of batch `(*batch, N)`, responses `(*batch, N, I, P, M)` complex, predicted noise
-        and the measurement: the arguments of `torchdt.bp.schedule.update`.
+        and the measurement: the arguments of `torchdt.filter.bp.schedule.update`.
     """
     streams = RandomStreams.from_seeds(range(seed, seed + math.prod(batch)), batch, dtype, device)
 

@@ -12,14 +12,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchdt.app.report.benchmark import HIGH, Measured, Plain, plain_rows
+from torchdt.baselines.detect.peaks import find_peaks
+from torchdt.baselines.detect.sbl import SparseBayesianLearning
+from torchdt.baselines.detect.spectrum import sparse_spectrum
 from torchdt.benchmark.clock import clock
 from torchdt.benchmark.memory import probe
 from torchdt.benchmark.oracle import ORACLES, load_oracle
-from torchdt.detect.peaks import find_peaks
-from torchdt.detect.sbl import SparseBayesianLearning
-from torchdt.detect.spectrum import sparse_spectrum
 from torchdt.model.measurement import Measurement
-from torchdt.report.benchmark import HIGH, Measured, Plain, plain_rows
 
 ORACLE = ORACLES / "sparse_bayesian.py"
 """The plain formulations."""

@@ -7,13 +7,13 @@ from statistics import linear_regression, median
 
 import torch
 
+from torchdt.app.report.benchmark import Measured
 from torchdt.benchmark.clock import clock_in_turn
 from torchdt.benchmark.problem import random_problem
-from torchdt.bp.schedule import update
-from torchdt.report.benchmark import Measured
-from torchdt.scenario.recording import Recording, validate
-from torchdt.tracker import DirectTracker
-from torchdt.tracking import track
+from torchdt.data.recording import Recording, validate
+from torchdt.filter.bp.schedule import update
+from torchdt.filter.direct import DirectTracker
+from torchdt.run.track import track
 
 POWER_POINTS, NOISE_POINTS = 16, 64
 """Support points of each power and noise variance."""

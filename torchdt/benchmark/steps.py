@@ -10,25 +10,25 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchdt.app.report.benchmark import Measured
 from torchdt.benchmark.clock import clock_in_turn
-from torchdt.bp.moments import response_moment, signal_covariance
-from torchdt.bp.noise import update_noise
-from torchdt.bp.schedule import update
-from torchdt.conclude import conclude, resample_particles
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
+from torchdt.core.random import RandomStreams
+from torchdt.data.recording import Recording
+from torchdt.filter.bp.moments import response_moment, signal_covariance
+from torchdt.filter.bp.noise import update_noise
+from torchdt.filter.bp.schedule import update
+from torchdt.filter.declare import conclude, resample_particles
+from torchdt.filter.direct import DirectTracker
+from torchdt.filter.placement import Placer
+from torchdt.filter.proposal.moved import respond
+from torchdt.filter.proposal.newborn import propose_newborn, search
+from torchdt.filter.state import Noise, Objects, TrackerState
 from torchdt.model.birth import birth_log_odds
 from torchdt.model.measurement import Measurement
 from torchdt.model.parameters import Parameters, widen
 from torchdt.model.prior import Priors
-from torchdt.placement import Placer
-from torchdt.proposal.moved import respond
-from torchdt.proposal.newborn import propose_newborn, search
-from torchdt.random import RandomStreams
-from torchdt.report.benchmark import Measured
-from torchdt.scenario.recording import Recording
-from torchdt.state import Noise, Objects, TrackerState
-from torchdt.tracker import DirectTracker
-from torchdt.tracking import track
+from torchdt.run.track import track
 
 ROUNDS = 5
 """Calls of every part for each repeat: parts take milliseconds."""
@@ -207,7 +207,7 @@ def _leaf(tensor: Tensor) -> Tensor:
 
 
 def measure_batch(tracker: DirectTracker, recording: Recording, repeats: int) -> list[Measured]:
-    """A batch of sequences and, in turn, one of them after the other alone, by `torchdt.tracking.track`.
+    """A batch of sequences and, in turn, one of them after the other alone, by `torchdt.run.track.track`.
 
     The batch has one worker for each thread of the linear algebra, the single sequence all threads.
 

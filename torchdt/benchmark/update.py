@@ -11,15 +11,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchdt.app.report.benchmark import Measured
 from torchdt.benchmark.clock import SIZE, clock_in_turn
 from torchdt.benchmark.oracle import ORACLES, load_oracle
 from torchdt.benchmark.problem import random_problem
-from torchdt.bp.schedule import Beliefs, update
-from torchdt.chunks import MOST_ON_CPU, plan, run_chunks
+from torchdt.core.trees import take_sequences
+from torchdt.filter.bp.schedule import Beliefs, update
+from torchdt.filter.state import Noise, Objects
 from torchdt.model.measurement import Measurement
-from torchdt.report.benchmark import Measured
-from torchdt.rows import take_sequences
-from torchdt.state import Noise, Objects
+from torchdt.run.chunks import MOST_ON_CPU, plan, run_chunks
 
 ORACLE = ORACLES / "plain_bp.py"
 """The plain formulations."""

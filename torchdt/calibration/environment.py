@@ -10,16 +10,16 @@ from torch import Generator, Tensor
 
 from torchdt.calibration.focalise import focalise
 from torchdt.calibration.share import mismatch_share
-from torchdt.detect.dictionary import build_dictionary
-from torchdt.field.family import WaveguideFamily
-from torchdt.field.waveguide import NormalModeField
+from torchdt.core.ranges import Checked, Count, InnerProbability, Passes, Positive, Steps
+from torchdt.field.waveguide.family import WaveguideFamily
+from torchdt.field.waveguide.waveguide import NormalModeField
+from torchdt.filter.proposal.dictionary import build_dictionary
+from torchdt.filter.proposal.newborn import Picks, search
+from torchdt.filter.state import Noise
 from torchdt.model.gamma_chain import uniform_prior
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
-from torchdt.proposal.newborn import Picks, search
-from torchdt.ranges import Checked, Count, InnerProbability, Passes, Positive, Steps
-from torchdt.state import Noise
 
 log = logging.getLogger(__name__)
 

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchdt.core.linalg import cholesky
 from torchdt.field.base import Field
-from torchdt.linalg import cholesky
 from torchdt.model.measurement import Measurement
 
 FLOORS = (0.3, 0.1, 0.03, 0.0)

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from torchdt.field.waveguide import NormalModeField
+from torchdt.field.waveguide.waveguide import NormalModeField
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask_covariance
 
 SHARES = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.5, 0.7)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from torchdt.errors import InputError, require
+from torchdt.core.errors import InputError, require
 from torchdt.field.base import BaseField
 
 FLAT = 1e-3

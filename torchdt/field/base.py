@@ -5,7 +5,7 @@ from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
-from torchdt.errors import InputError, require
+from torchdt.core.errors import InputError, require
 
 OPTIONAL = ("num_sequences", "inside", "images", "diffuse", "incoherent")
 """What `BaseField` has beside a call and `select`, and a field of one's own may have."""

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import torch
 
-from torchdt.errors import InputError, require
+from torchdt.core.errors import InputError, require
 from torchdt.field.array import as_numbers, warn_of_aliasing
-from torchdt.field.environment import Environment, HalfSpace, Layer, combine_eofs
-from torchdt.field.modes import ModeSolverError
 from torchdt.field.plane_wave import LineArrayField, PlaneWaveField
 from torchdt.field.spherical_wave import SphericalWaveField
-from torchdt.field.waveguide import NormalModeField
+from torchdt.field.waveguide.environment import Environment, HalfSpace, Layer, combine_eofs
+from torchdt.field.waveguide.modes import ModeSolverError
+from torchdt.field.waveguide.waveguide import NormalModeField
 
 
 class EnvironmentDraw(NamedTuple):

@@ -11,7 +11,7 @@ from typing import Self
 
 from torch import Tensor
 
-from torchdt.errors import InputError, require
+from torchdt.core.errors import InputError, require
 from torchdt.field.base import BaseField, Field
 from torchdt.field.wrapped import WrappedField
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchdt.errors import require
+from torchdt.core.errors import require
 from torchdt.field.array import SensorArray, as_numbers
 from torchdt.field.directions import DIRECTIONS
 

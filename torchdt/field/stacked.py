@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from torchdt.errors import require
+from torchdt.core.errors import require
 from torchdt.field.base import BaseField, Field, as_field
 
 

@@ -6,7 +6,7 @@ import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from torchdt.history import TrackHistory
+from torchdt.filter.history import TrackHistory
 
 
 class TrackDelays(NamedTuple):

@@ -12,7 +12,7 @@ import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
 
 
 class Gospa(NamedTuple):

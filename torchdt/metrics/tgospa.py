@@ -14,8 +14,8 @@ from scipy.optimize import linprog
 from scipy.sparse import csr_array, eye_array, hstack, kron, vstack
 from scipy.sparse.csgraph import connected_components
 
-from torchdt.errors import require
-from torchdt.history import TrackHistory
+from torchdt.core.errors import require
+from torchdt.filter.history import TrackHistory
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchdt.state import weighted_mean
+from torchdt.core.weights import weighted_mean
 
 LEAST_SHAPE = 1.0
 """Smallest shape c of a chain: a relative standard deviation of one per step. Below, the density of the next

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import Normal, biject_to, constraints
 
-from torchdt.errors import InputError, require
+from torchdt.core.errors import InputError, require
 from torchdt.model.gamma_chain import LEAST_SHAPE
 
 

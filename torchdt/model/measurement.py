@@ -6,7 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdt.linalg import cholesky
+from torchdt.core.linalg import cholesky
 
 ROUNDING = 4.0
 """Relative error of a covariance that is a sum of responses, in units of the rounding error of one number."""

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdt.config import TrackerConfig
-from torchdt.errors import require
+from torchdt.core.errors import require
+from torchdt.filter.config import TrackerConfig
 from torchdt.model.gamma_chain import LEAST_SHAPE
 from torchdt.model.region import Region, per_coordinate
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
 from torchdt.model.measurement import Measurement
 
 

@@ -9,9 +9,9 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torchdt.errors import InputError, require
+from torchdt.core.errors import InputError, require
+from torchdt.core.ranges import Finite, Positive, check
 from torchdt.field.base import BaseField, Field, as_field, of_each
-from torchdt.ranges import Finite, Positive, check
 
 MOST_CELLS = 10_000_000
 """Of a region: what their centres take is a small part of a machine's memory."""

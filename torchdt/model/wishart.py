@@ -15,7 +15,7 @@ import math
 import torch
 from torch import Tensor
 
-from torchdt.linalg import NumericalError, cholesky
+from torchdt.core.linalg import NumericalError, cholesky
 from torchdt.model.measurement import Measurement
 
 

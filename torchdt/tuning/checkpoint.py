@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from torchdt.checkpoint import load_checkpoint, require_like, save_checkpoint
-from torchdt.errors import InputError
+from torchdt.core.errors import InputError
+from torchdt.run.checkpoint import load_checkpoint, require_like, save_checkpoint
 from torchdt.tuning.state import Record, TuningState
 
 KIND = "tune"

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from torchdt.errors import require
-from torchdt.ranges import Checked, Count, OneOf, Positive, PositiveShare, Range, Seed, Steps
+from torchdt.core.errors import require
+from torchdt.core.ranges import Checked, Count, OneOf, Positive, PositiveShare, Range, Seed, Steps
 
 METHODS = ("gradient", "tpe", "grid")
 Step = Annotated[float, Range("a positive number", low=0, open_low=True, least=1e-12, most=100)]

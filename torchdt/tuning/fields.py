@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from torchdt.field.base import Field
-from torchdt.field.family import WaveguideFamily
 from torchdt.field.mismatch import MismatchedField
+from torchdt.field.waveguide.family import WaveguideFamily
 
 ENVIRONMENT = ("eof_coefficients", "tilt_deg", "water_depth_m")
 

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 from torch.nn.utils import clip_grad_norm_
 
-from torchdt.errors import InputError
-from torchdt.linalg import BREAKDOWN
+from torchdt.core.errors import InputError
+from torchdt.core.linalg import BREAKDOWN
 from torchdt.model.hyperparameters import Hyperparameters
 from torchdt.tuning.config import TuningConfig
 from torchdt.tuning.objective import Objective, evaluate, value_of

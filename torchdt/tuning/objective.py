@@ -6,7 +6,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from torchdt.linalg import BREAKDOWN
+from torchdt.core.linalg import BREAKDOWN
 from torchdt.model.hyperparameters import Hyperparameters
 
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.utils import vector_to_parameters
 
-from torchdt.errors import InputError, require
+from torchdt.core.errors import InputError, require
 from torchdt.model.hyperparameters import Hyperparameters
 from torchdt.tuning.config import TuningConfig
 from torchdt.tuning.objective import Objective, value_of

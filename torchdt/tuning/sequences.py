@@ -6,8 +6,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchdt.errors import require
-from torchdt.scenario.recording import Recording
+from torchdt.core.errors import require
+from torchdt.data.recording import Recording
 
 ALIKE = ("step_s", "span_s", "num_snapshots", "freqs", "element_depths", "sensor_positions")
 

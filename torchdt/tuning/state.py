@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchdt.errors import require
+from torchdt.core.errors import require
 from torchdt.model.hyperparameters import Hyperparameters
 
 Values = dict[str, float | list[float]]

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchdt.config import TrackerConfig
+from torchdt.core.random import RandomStreams
+from torchdt.data.prepare import Prepared
 from torchdt.field.base import Field
-from torchdt.likelihood import log_likelihood
+from torchdt.filter.config import TrackerConfig
+from torchdt.filter.direct import DirectTracker
+from torchdt.filter.likelihood import log_likelihood
 from torchdt.model.parameters import default_parameters, with_values
 from torchdt.model.region import Region
-from torchdt.prepare import Prepared
-from torchdt.random import RandomStreams
-from torchdt.tracker import DirectTracker
-from torchdt.tracking import derive_seed
+from torchdt.run.track import derive_seed
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class TrackerObjective:
         family: trackers by values.
         prepared: B sequences of K steps.
         mask: `(B, K)` bool, the steps that count.
-        seeds: one per sequence, as for `torchdt.tracking.track`.
-        block, truncate: see `torchdt.likelihood.log_likelihood`.
+        seeds: one per sequence, as for `torchdt.run.track.track`.
+        block, truncate: see `torchdt.filter.likelihood.log_likelihood`.
     """
 
     def __init__(

@@ -1,0 +1,302 @@
+"""What does not fit ends the run with a message that names the key, what was found and what was expected."""
+
+import numpy as np
+import pytest
+from oracles.arrays import changed, sample_covariance
+
+from torchdt.data.npz import write_npz
+
+FIRST = "scenario.sources.first"
+PATH = "scenario.paths.first"
+MISMATCH = "scenario.mismatch"
+
+
+def fails(outcome, *words):
+    assert outcome.status == 1
+    assert outcome.values == []
+    for word in words:
+        assert word in outcome.err
+    assert "Traceback" not in outcome.err
+    assert not (outcome.directory / "metrics.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("colour=red", ("'colour'", "not in 'TrackSettings'")),
+        ("tracker.particle=5", ("'particle'", "not in 'TrackerConfig'")),
+        ("scenario.steps=5", ("'steps'", "not in 'ScenarioSettings'")),
+        (f"{FIRST}.level=5", ("'level'", "not in 'SourceSettings'")),
+        ("scenario=nowhere", ("'scenario/nowhere'", "line_array", "swellex96")),
+        ("tracker=nowhere", ("'tracker/nowhere'", "direct")),
+        ("tracker.particles=many", ("tracker.particles", "'many'", "Integer")),
+        ("scenario.num_steps=2.5", ("scenario.num_steps", "'2.5'", "Integer")),
+        ("scenario.snr_db=loud", ("scenario.snr_db", "'loud'", "Float")),
+        (f"{FIRST}.silences=[3]", (f"{FIRST}.silences", "int is not a ListConfig")),
+        (f"{FIRST}.silences=[[0.5,1.5]]", (f"{FIRST}.silences", "0.5 (float)", "'int'")),
+    ],
+)
+def test_what_the_schema_refuses(launch, override, words):
+    fails(launch(override), *words)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("runs", "0", "a positive integer"),
+        ("threads", "0", "a positive integer or null"),
+        ("workers", "0", "a positive integer or null"),
+        ("memory_gb", "0.0", "a positive number or null"),
+        ("dtype", "float16", "float32 or float64"),
+        ("data.kind", "wav", "simulated or npz"),
+        ("logging.surface_step", "-1", "a step from 0 up"),
+        *(
+            (f"tracker.{name}", "0", "a positive integer")
+            for name in ("slots", "particles", "births", "sweeps")
+        ),
+        *((f"tracker.{name}", "-3", "a positive integer") for name in ("rounds", "round_size")),
+        *((f"tracker.{name}", "-3", "a positive integer") for name in ("power_points", "noise_points")),
+        *(
+            (f"tracker.{name}", "0.9", "a finite number of at least 1")
+            for name in ("power_shape", "noise_shape")
+        ),
+        ("tracker.power_shape", "inf", "a finite number of at least 1"),
+        ("tracker.birth_mean", "0.0", "a positive number"),
+        *((f"tracker.{name}", "0.0", "a positive number or null") for name in ("power_max", "noise_max")),
+        *(
+            (f"tracker.{name}", "0.0", "strictly between 0 and 1")
+            for name in ("survival", "declare", "prune")
+        ),
+        *(
+            (f"tracker.{name}", "1.5", "strictly between 0 and 1")
+            for name in ("survival", "declare", "prune")
+        ),
+        *((f"tracker.{name}", "-0.1", "a number from 0 to 1") for name in ("roughening", "resample_below")),
+        ("tracker.roughening", "nan", "a number from 0 to 1"),
+        ("tracker.likelihood_power", "0.0", "a number above 0, up to 1"),
+        ("tracker.likelihood_power", "1.1", "a number above 0, up to 1"),
+        ("tracker.schedule", "zigzag", "sequential or flooding"),
+        ("scenario.num_steps", "0", "a positive integer"),
+        ("scenario.num_snapshots", "-1", "a positive integer"),
+        ("scenario.step_s", "0.0", "a positive number"),
+        ("scenario.step_s", "inf", "a positive number"),
+        ("scenario.snr_db", "nan", "a finite number"),
+        ("scenario.gospa_cutoff", "-1.0", "a positive number"),
+        ("scenario.gospa_order", "0.5", "a number from 1 up"),
+        ("scenario.phase_step_deg", "-1.0", "a number from 0 up"),
+        ("scenario.amplitudes", "square", "gaussian or constant_modulus"),
+        ("scenario.coordinates", "[]", "at least one coordinate"),
+        (f"{FIRST}.path", "nowhere", "one of ['first', 'second']"),
+        (f"{MISMATCH}.eof_scale", "-1.0", "a number from 0 up"),
+        (f"{MISMATCH}.tilt_deg", "[2.0, 1.0]", "[smallest, largest], both from 0 up"),
+        (f"{MISMATCH}.water_depth_m", "[1.0]", "[smallest, largest], both from 0 up"),
+    ],
+)
+def test_value_out_of_range(launch, key, value, expected):
+    fails(launch(f"{key}={value}"), f"key '{key}': found {value}, expected ", expected)
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        (f"{FIRST}.birth=-1", ("scenario.sources.", "birth'", "found -1", "a step from 0 up")),
+        ("scenario.sources.second.death=5", ("death'", "found 5", "a step after birth 10")),
+        (f"{FIRST}.silences=[[5,3]]", ("silences'", "found [[5, 3]]", "pairs [first, last]")),
+        (f"{PATH}.times_s=[0]", ("positions'", "found [[-40], [0]]", "1 positions")),
+        (f"{PATH}.times_s=[0,0]", ("times_s'", "found [0.0, 0.0]", "increasing times")),
+        (f"{PATH}.positions=[[1],[2,3]]", (f"{PATH}.positions'", "found [[1], [2, 3]]", "1 coordinates")),
+        ("scenario.coordinates.0.low=80", ("coordinates.bearing.low'", "found 80.0", "below high, 70.0")),
+        ("scenario.coordinates.0.cell=0", ("bearing.cell'", "found 0.0", "a positive number")),
+        ("scenario.coordinates.0.cell=1e-12", ("bearing.cell'", "found 1e-12", "at least 1.4e-05")),
+        (f"{MISMATCH}.tilt_deg=[0,1]", (f"'{MISMATCH}'", "found a mismatch", "no environment to vary")),
+    ],
+)
+def test_scenario_that_makes_no_sense(launch, override, words):
+    fails(launch(override), *words)
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("field._target_=torchdt.nowhere", ("key 'field'", "'torchdt.nowhere'")),
+        ("field._target_=builtins.dict", ("key 'field._target_'", "found dict", "torchdt.field.Field")),
+        ("+field.speed=3", ("key 'field'", "unexpected keyword argument 'speed'")),
+        ("~field.wave_speed", ("key 'field'", "missing 1 required", "'wave_speed'")),
+        ("field.wave_speed=-1", ("key 'field.wave_speed'", "found -1", "expected a positive number")),
+        ("field.wave_speed=nan", ("key 'field.wave_speed'", "found nan", "expected a positive number")),
+        (
+            "field.freqs=[100,-3]",
+            ("key 'field.freqs'", "[100, -3]", "expected one positive frequency"),
+        ),
+        ("field.sensor_positions=[]", ("key 'field.sensor_positions'", "expected (M,): each sensor's")),
+        ("scenario.coordinates.0.low=-180", ("bearing", "which the sensors cannot tell apart")),
+    ],
+)
+def test_field_that_cannot_be_built(launch, override, words):
+    fails(launch(override), *words)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["+scenario.colour=red"],
+        ["+tracker.colour=red"],
+        ["field=swellex96"],  # two coordinates for a scenario of one
+        [f"{PATH}.positions=[[a],[b]]"],
+        [f"{FIRST}.power_db=nan"],
+        [f"{FIRST}.frozen_step=-5"],
+        ["device=tpu"],
+        ["data=npz"],
+    ],
+    ids=lambda overrides: overrides[0],
+)
+def test_what_the_schema_alone_lets_through(launch, overrides):
+    key = overrides[0].lstrip("+").partition("=")[0].replace("field", "coordinates")
+    name = key.rpartition(".")[2] if key != "data" else "data.path"
+    fails(launch(*overrides), name, "found", "expected")
+
+
+@pytest.fixture
+def track(launch, tmp_path):
+    """Track a file of these arrays."""
+
+    def track(arrays):
+        path = tmp_path / "bad.npz"
+        np.savez(path, **arrays)
+        return launch("data=npz", f"data.path={path}")
+
+    return track
+
+
+@pytest.fixture
+def arrays(recording):
+    return {
+        "snapshots": recording.snapshots.numpy(),
+        "truth": recording.truth.numpy(),
+        "step_s": recording.step_s,
+    }
+
+
+@pytest.fixture
+def covariance(recording):
+    return {
+        "covariance": sample_covariance(recording.snapshots).numpy(),
+        "num_snapshots": 3,
+        "step_s": recording.step_s,
+    }
+
+
+def test_good_arrays_are_tracked(track, arrays, covariance):
+    assert track(arrays).status == 0
+    assert track(covariance).status == 0
+
+
+def test_no_such_file(launch, tmp_path):
+    path = tmp_path / "nowhere.npz"
+    fails(
+        launch("data=npz", f"data.path={path}"),
+        f"path '{path}'",
+        "found no such file",
+        "expected a complete .npz",
+    )
+
+
+def test_truncated_file(launch, recording, tmp_path):
+    path = tmp_path / "part.npz"
+    write_npz(path, recording)
+    path.write_bytes(path.read_bytes()[:-100])
+    fails(launch("data=npz", f"data.path={path}"), f"path '{path}'", "found", "expected a complete .npz")
+
+
+def test_file_of_another_kind(launch, tmp_path):
+    path = tmp_path / "notes.npz"
+    path.write_text("not an archive")
+    fails(launch("data=npz", f"data.path={path}"), f"path '{path}'", "found", "expected a complete .npz")
+
+
+def test_pickled_objects(track, arrays):
+    arrays["truth"] = np.array([{"range": 1}], dtype=object)
+    fails(track(arrays), "bad.npz", "key 'truth'", "found", "expected a numeric array")
+
+
+def test_number_of_tones(track, arrays):
+    arrays["snapshots"] = arrays["snapshots"][:, :, :1]
+    fails(track(arrays), "key 'snapshots'", "found 1 tones", "expected 2 tones")
+
+
+def test_number_of_sensors(track, arrays, covariance):
+    arrays["snapshots"] = arrays["snapshots"][..., :7]
+    fails(track(arrays), "key 'snapshots'", "found 7 sensors", "expected 8 sensors")
+    covariance["covariance"] = covariance["covariance"][..., :7, :7]
+    fails(track(covariance), "key 'covariance'", "found 7 sensors", "expected 8 sensors")
+
+
+@pytest.mark.parametrize("step", [0.0, -1.0, np.inf, np.nan])
+def test_step(track, arrays, step):
+    fails(
+        track(arrays | {"step_s": step}),
+        "key 'step_s'",
+        f"found {step}",
+        "expected a number of seconds above zero",
+    )
+
+
+def test_no_step(track, arrays):
+    del arrays["step_s"]
+    fails(track(arrays), "key 'step_s'", "found nothing", "expected the seconds")
+
+
+def test_truth_of_another_length(track, arrays):
+    arrays["truth"] = arrays["truth"][:, :4]
+    fails(track(arrays), "key 'truth'", "found 4 steps", "expected 5 steps")
+
+
+def test_truth_of_other_coordinates(track, arrays):
+    arrays["truth"] = np.repeat(arrays["truth"], 2, axis=-1)
+    fails(track(arrays), "key 'truth'", "found 2 coordinates", "expected 1, as the scenario")
+
+
+@pytest.mark.parametrize("key", ["snapshots", "truth"])
+def test_infinite_values(track, arrays, key):
+    arrays[key] = changed(arrays[key], (0, 2, 0, 0), np.inf)
+    fails(
+        track(arrays), f"key '{key}'", "found", "infinite values, the first at (0, 2, 0, 0", "expected none"
+    )
+
+
+def test_zeros_throughout(track, arrays):
+    arrays["snapshots"] = np.zeros_like(arrays["snapshots"])
+    fails(track(arrays), "key 'snapshots'", "found only zeros", "expected")
+
+
+def test_real_snapshots(track, arrays):
+    arrays["snapshots"] = arrays["snapshots"].real
+    fails(track(arrays), "key 'snapshots'", "found torch.float64", "expected complex")
+
+
+def test_covariance_that_is_not_hermitian(track, covariance):
+    covariance["covariance"] = changed(covariance["covariance"], (1, 2, 0, 0, 1), 50.0)
+    words = ("found a matrix that is not Hermitian (run 1, step 2, tone 0", "expected Hermitian matrices")
+    fails(track(covariance), "key 'covariance'", *words)
+
+
+def test_covariance_without_count(track, covariance):
+    del covariance["num_snapshots"]
+    fails(track(covariance), "key 'num_snapshots'", "found nothing", "expected")
+
+
+def test_both_kinds_of_data(track, arrays, covariance):
+    fails(track(arrays | covariance), "key 'covariance'", "found snapshots as well", "expected either")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("freqs", np.array([100.0]), ("found shape (1,)", "expected (2,)")),
+        ("freqs", np.array([100.0, 0.0]), ("found 0.0", "expected frequencies above zero")),
+        ("sensor_positions", np.zeros((7, 3)), ("found shape (7, 3)", "expected (8, 3)")),
+        ("sensor_positions", np.eye(8, 3), ("found sensors off a line", "expected sensors along")),
+    ],
+)
+def test_array_that_does_not_fit(track, arrays, key, value, words):
+    fails(track(arrays | {key: value}), f"key '{key}'", *words)

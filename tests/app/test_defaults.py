@@ -1,0 +1,64 @@
+"""Dataclasses and the configuration say the same: no default stands twice with two values."""
+
+from pathlib import Path
+
+import pytest
+import torchdt.conf
+from hydra import compose, initialize_config_module
+from omegaconf import DictConfig, OmegaConf
+
+from torchdt.app.job import job
+
+CONF = Path(torchdt.conf.__file__).parent
+JOBS = sorted(path.stem for path in CONF.glob("*.yaml"))
+GROUPS = [
+    ("track", "data=wav", "data"),
+    ("track", "data=tart", "data"),
+    ("track", "logging=default", "logging"),
+    ("track", "calibration=environment", "calibration"),
+    ("track", "calibration=none", "calibration"),
+    ("track", "tracker=direct", "tracker"),
+    ("tune", "tuning=gradient", "tuning"),
+]
+"""Options that stand for no choice of their own, and `calibration=none`, of which only `enabled` is one."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _conf():
+    for name in JOBS:
+        job(name)  # whose import brings its schema
+    with initialize_config_module("torchdt.conf", version_base="1.3"):
+        yield
+
+
+def differences(config: DictConfig, defaults: object) -> dict[str, tuple]:
+    """What a configuration and a dataclass say of a key, where both say something, and not the same."""
+    ours = OmegaConf.to_container(OmegaConf.structured(defaults))
+    theirs = OmegaConf.to_container(config)
+    return {
+        key: (theirs[key], ours[key])
+        for key in theirs
+        if theirs[key] != ours[key] and not _is_empty(ours[key])
+    }
+
+
+def _is_empty(default: object) -> bool:
+    return default in ([], {})  # left to the configuration
+
+
+@pytest.mark.parametrize("name", JOBS)
+def test_jobs(name):
+    """Their own keys; groups, which may be chosen, come below."""
+    config = compose(name)
+    groups = {group for group in config if (CONF / group).is_dir()} | {"conventional"}
+    found = differences(
+        OmegaConf.masked_copy(config, [k for k in config if k not in groups]), OmegaConf.get_type(config)
+    )
+    assert found == {}
+
+
+@pytest.mark.parametrize(("name", "choice", "group"), GROUPS)
+def test_groups(name, choice, group):
+    config = compose(name, overrides=[choice])[group]
+    expected = {"enabled": (False, True)} if choice == "calibration=none" else {}
+    assert differences(config, OmegaConf.get_type(config)) == expected

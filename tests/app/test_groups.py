@@ -1,0 +1,159 @@
+"""Every option of every group becomes what it describes; a new file is tested by being there."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+import torchdt.conf
+from hydra import compose, initialize_config_module
+from hydra.plugins.launcher import Launcher
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+from oracles.scripts import SMALL
+
+import torchdt.app.tune_settings
+from torchdt.app import fields
+from torchdt.app.build import build_region, build_tracker, simulate
+from torchdt.app.claims import DirectoryClaims
+from torchdt.app.settings import settings_of
+from torchdt.app.sweep import SweepReport
+from torchdt.app.tunable import build_problem, gather
+from torchdt.calibration.environment import CalibrationConfig
+
+CONF = Path(torchdt.conf.__file__).parent
+SHORT = ("scenario.num_steps=2", "logging=quiet")
+
+
+def options(group):
+    found = sorted(path.stem for path in CONF.glob(f"{group}/*.yaml"))
+    assert found
+    return found
+
+
+def composed(job, *overrides, **keys):
+    with initialize_config_module("torchdt.conf", version_base="1.3"):
+        return compose(job, overrides=list(overrides), **keys)
+
+
+def settings(*overrides, job="track"):
+    return settings_of(composed(job, *overrides))
+
+
+@pytest.fixture(scope="module")
+def build():
+    """Fields, each built once: scenarios share them, and modes take a while."""
+    known = {}
+
+    def build(target):
+        key = json.dumps(target)
+        if key not in known:
+            known[key] = fields.build_field(target, torch.float64, "cpu")
+        return known[key]
+
+    return build
+
+
+@pytest.fixture(scope="module")
+def line():
+    return simulate(settings("scenario=line_array", *SHORT))
+
+
+def test_no_group_is_forgotten():
+    groups = {path.parent.relative_to(CONF).as_posix() for path in CONF.glob("*/**/*.yaml")}
+    here = {name.removeprefix("test_").replace("hydra_", "hydra/") for name in globals()}
+    assert groups - {"experiment", "hydra/help"} <= here  # these two have files of their own
+
+
+@pytest.mark.parametrize("name", options("field"))
+def test_field(build, name):
+    field = build(settings(f"field={name}").field)
+    state = torch.full((3, field.num_coordinates), 0.3, dtype=torch.float64)
+    response = field(state)
+    assert response.shape == (3, field.num_tones, field.num_sensors)
+    assert response.isfinite().all()
+
+
+@pytest.mark.parametrize("name", options("scenario"))
+def test_scenario(build, monkeypatch, name):
+    """It is simulated, in the field without mismatch."""
+    chosen = settings(f"scenario={name}", *SHORT)
+    field, region = build(chosen.field), build_region(chosen, torch.float64)
+    assert region.num_coordinates == field.num_coordinates
+    monkeypatch.setattr("torchdt.app.build.build_field", lambda target, *_, **__: build(target))
+    recording = simulate(chosen)
+    assert recording.snapshots.shape[:2] == (1, 2)
+    assert recording.snapshots.shape[-1] == field.num_sensors
+
+
+@pytest.mark.parametrize("name", options("tracker"))
+def test_tracker(line, name):
+    tracker = build_tracker(settings("scenario=line_array", f"tracker={name}", *SHORT), line)
+    assert tracker.select(slice(0, 1)).region.num_coordinates == 1
+
+
+@pytest.mark.parametrize("name", options("calibration"))
+def test_calibration(name):
+    chosen = settings(f"calibration={name}").calibration
+    assert isinstance(chosen, CalibrationConfig)
+    assert chosen.enabled == (name != "none")
+
+
+@pytest.mark.parametrize("name", options("data"))
+def test_data(name):
+    chosen = settings(f"data={name}", *(() if name == "simulated" else ("data.path=recording",))).data
+    assert name.startswith(chosen.kind)
+    assert chosen.paths == [None if name == "simulated" else "recording"]
+
+
+@pytest.mark.parametrize("name", options("logging"))
+def test_logging(name):
+    assert settings(f"logging={name}").logging.tensorboard == (name != "quiet")
+
+
+@pytest.mark.parametrize("name", options("tuning"))
+def test_tuning(name):
+    assert settings(f"tuning={name}", job="tune").tuning.method == name
+
+
+@pytest.mark.parametrize("name", options("hyperparameters"))
+def test_hyperparameters(name):
+    """All can be tuned in a waveguide without calibration, on covariances."""
+    scenario = (
+        "scenario=matched_20",
+        "field.freqs=[49,79]",
+        "scenario.num_steps=1",
+        "scenario.num_snapshots=40",
+        "calibration=none",
+    )
+    chosen = settings(f"hyperparameters={name}", *SMALL, *scenario, "train_seeds=[0]", job="tune")
+    sequences = gather(chosen, chosen.train_seeds, [], pad=False)
+    z = sequences.recording.snapshots
+    covariances = replace(
+        sequences.recording, snapshots=None, covariance=z.mT @ z.conj() / 40, num_snapshots=40.0
+    )
+    sequences = sequences._replace(recording=covariances)
+    hyperparameters, families = build_problem(chosen, chosen.hyperparameters, [sequences])
+    values = hyperparameters()
+    assert set(values) == set(chosen.hyperparameters)
+    assert all(torch.as_tensor(value).isfinite().all() for value in values.values())
+    assert hyperparameters.log_prior().isfinite()
+    assert len(families) == 1
+
+
+@pytest.mark.parametrize("name", options("hydra/launcher"))
+def test_hydra_launcher(name):
+    if name == "ray_pool":
+        pytest.importorskip("ray", reason="Ray is an extra of its own")
+    config = composed("track", f"hydra/launcher={name}", return_hydra_config=True)
+    OmegaConf.set_struct(config, False)
+    assert isinstance(instantiate(config.hydra.launcher), Launcher)
+
+
+@pytest.mark.parametrize("name", options("hydra/callbacks"))
+def test_hydra_callbacks(name):
+    config = composed("track", f"hydra/callbacks={name}", return_hydra_config=True)
+    claims, report = (instantiate(callback) for callback in config.hydra.callbacks.values())
+    assert isinstance(claims, DirectoryClaims)  # before any other: what is refused says nothing
+    assert isinstance(report, SweepReport)

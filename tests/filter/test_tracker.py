@@ -1,0 +1,91 @@
+"""What every tracker has from the protocol: tracking step by step, and of whole sequences."""
+
+import gc
+from collections.abc import Iterator
+
+import pytest
+import torch
+from oracles.line_array import make_field, make_region, make_tracker, simulate
+from torch import Tensor
+
+from torchdt.baselines.detect.config import PursuitConfig
+from torchdt.baselines.two_step import TwoStepConfig, TwoStepTracker
+from torchdt.core.random import RandomStreams
+from torchdt.filter.tracker import Tracker
+from torchdt.model.measurement import Measurement, from_snapshots
+from torchdt.model.prior import Priors, data_priors
+
+TWO = (((0.0, -40.0), (20.0, -25.0)), ((0.0, 30.0), (20.0, 20.0)))
+KINDS = ("direct", "two_step")
+both = pytest.mark.parametrize("kind", KINDS)
+
+
+def build(kind: str) -> Tracker:
+    if kind == "direct":
+        return make_tracker()
+    config = TwoStepConfig(slots=4, particles=200, detector=PursuitConfig(points=4))
+    return TwoStepTracker(make_field(), make_region(), 1.0, config)
+
+
+def streams(number: int = 2) -> RandomStreams:
+    return RandomStreams.from_seeds(range(number), (number,), torch.float64)
+
+
+@pytest.fixture(scope="module")
+def measurement() -> Measurement:
+    return from_snapshots(torch.stack([simulate(seed, *TWO)[0] for seed in range(2)]))
+
+
+@both
+def test_a_stream_gives_the_steps_of_a_run(kind, measurement):
+    tracker, priors = build(kind), data_priors(measurement)
+    history = tracker.run(measurement, priors, streams())
+    steps = list(tracker.stream((measurement.at(k) for k in range(20)), priors, streams()))
+    assert history.declared[:, -1].sum(-1).tolist() == [2, 2]
+    for parts, expected in zip(zip(*steps, strict=True), history, strict=True):
+        torch.testing.assert_close(torch.stack(parts, 1), expected, rtol=0, atol=0, equal_nan=True)
+
+
+@both
+def test_a_stream_waits_for_the_data(kind, measurement):
+    """The estimates of a step are there before the next step is asked for."""
+    asked = []
+
+    def arrive() -> Iterator[Measurement]:
+        for k in range(3):
+            asked.append(k)
+            yield measurement.at(k)
+
+    stream = build(kind).stream(arrive(), data_priors(measurement), streams())
+    assert asked == []
+    for k in range(3):
+        assert next(stream).existence.shape == (2, 4)
+        assert asked == list(range(k + 1))
+    assert next(stream, None) is None
+
+
+@both
+@torch.inference_mode()
+def test_a_stream_keeps_nothing(kind, measurement):
+    """As many tensors are alive after 50 steps as after five."""
+    alive = []
+    endless = (Measurement(*(t[:, k % 20].clone() for t in measurement)) for k in range(50))
+    priors = Priors(*data_priors(measurement))
+    for k, _ in enumerate(build(kind).stream(endless, priors, streams())):
+        if k in (5, 49):
+            gc.collect()
+            alive.append(sum(issubclass(type(thing), Tensor) for thing in gc.get_objects()))
+    assert alive[0] == alive[1]
+
+
+@both
+def test_a_run_reports_every_step(kind, measurement):
+    reported = []
+    history = build(kind).run(
+        measurement,
+        data_priors(measurement),
+        streams(),
+        lambda k, _, estimate: reported.append((k, estimate)),
+    )
+    assert [k for k, _ in reported] == list(range(20))
+    assert all(torch.equal(estimate.label, history.label[:, k]) for k, estimate in reported)

@@ -1,0 +1,99 @@
+"""How points arise from objects and from clutter."""
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from torchdt.core.errors import require
+from torchdt.model.region import Region, per_coordinate
+
+
+class PointLikelihood(Protocol):
+    """Any measurement model, given as its likelihood.
+
+    A point z has d_z coordinates, not necessarily those of a state x (D = 2 d: positions, then rates). All
+    densities over z are of the same measure. Values at points or states that mean nothing are not used, but
+    none may be NaN.
+    """
+
+    def log_likelihood(self, point: Tensor, state: Tensor) -> Tensor:
+        """Log f(z | x) of the point of a detected object.
+
+        Args:
+            point: `(*batch, M, d_z)`.
+            state: `(*batch, N, P, D)`.
+
+        Returns:
+            `(*batch, N, M, P)`.
+        """
+        ...
+
+    def log_clutter(self, point: Tensor) -> Tensor:
+        """Log f_c(z) of a false point, `(*batch, M, d_z)` to `(*batch, M)`."""
+        ...
+
+    def propose(self, point: Tensor, draws: Tensor) -> tuple[Tensor, Tensor]:
+        """Draw states of new objects around their points from a proposal q.
+
+        Args:
+            point: `(*batch, M, d_z)`.
+            draws: `(*batch, M, P, D)` standard normal.
+
+        Returns:
+            States x `(*batch, M, P, D)` and log-weights log [f(z | x) f_b(x) / q(x)] `(*batch, M, P)`, f_b
+            being the density of new objects, zero outside the region. The mean weight estimates int f f_b dx.
+        """
+        ...
+
+
+class GaussianPosition:
+    """Points are positions of objects with Gaussian errors: `z = position + N(0, diag(spread^2))`.
+
+    False points and new objects are uniform in the region, rates of new objects uniform between the region's
+    limits.
+
+    Args:
+        region: region of interest.
+        spread: standard deviation for each coordinate, in its unit; None takes half a birth cell.
+
+    Raises:
+        InputError: where `spread` is not one number for each coordinate.
+    """
+
+    def __init__(self, region: Region, spread: Sequence[float] | None = None):
+        self.region = region
+        self.spread = per_coordinate(spread, region.cell / 2, "tracker.spread")
+        self._log_volume = (region.high - region.low).log().sum()
+        self._log_peak = -self.spread.log().sum() - 0.5 * region.num_coordinates * math.log(2 * math.pi)
+
+    def log_likelihood(self, point: Tensor, state: Tensor) -> Tensor:
+        """Log f(z | x), see `PointLikelihood`.
+
+        Raises:
+            InputError: where points have not as many coordinates as the region.
+        """
+        d = self.region.num_coordinates
+        require(point.shape[-1] == d, "points.position", f"{point.shape[-1]} coordinates", f"{d} coordinates")
+        # One coordinate after another, in place: the tensor of N x M x P is the large one.
+        scaled = (state[..., :d] / self.spread).mT.contiguous().unsqueeze(-3)
+        centre = (point / self.spread)[..., None, :, :, None]
+        total = (scaled[..., 0, :] - centre[..., 0, :]).square_()
+        for i in range(1, d):
+            error = scaled[..., i, :] - centre[..., i, :]
+            total.addcmul_(error, error)
+        return total.mul_(-0.5).add_(self._log_peak)
+
+    def log_clutter(self, point: Tensor) -> Tensor:
+        """Log f_c(z): uniform in the region."""
+        return -self._log_volume.expand(point.shape[:-1])
+
+    def propose(self, point: Tensor, draws: Tensor) -> tuple[Tensor, Tensor]:
+        """Positions from N(z, spread^2), where f / q = 1; rates from their prior."""
+        region, d = self.region, self.region.num_coordinates
+        position = point.unsqueeze(-2) + self.spread * draws[..., :d]
+        rate = torch.lerp(region.rate_low, region.rate_high, torch.special.ndtr(draws[..., d:]))
+        log_weight = torch.where(region.contains(position), -self._log_volume, -torch.inf)
+        return torch.cat([position, rate], -1), log_weight

@@ -1,0 +1,86 @@
+"""Evidence of one time step, `log p(z_k | z_1..k-1)`, given the predicted beliefs of objects and noise.
+
+Two estimates. The Gaussian one replaces the predicted mixture by one Gaussian of the same covariance: one
+factorisation, and it knows nothing of new objects. The sampled one weights joint configurations, drawn from
+the posterior beliefs, by exact likelihood times prior over proposal: unbiased for p (not for its logarithm)
+whatever the beliefs are, and of low variance where BP comes near the truth.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchdt.core.linalg import check_finite
+from torchdt.filter.bp.configurations import Configurations, log_probability
+from torchdt.filter.bp.moments import signal_covariance
+from torchdt.filter.bp.schedule import Beliefs, as_belief
+from torchdt.filter.state import Noise, Objects
+from torchdt.model.measurement import (
+    Measurement,
+    gaussian_log_likelihood,
+    low_rank_log_likelihood,
+    mask_covariance,
+)
+
+
+def gaussian_evidence(beliefs: Beliefs, measurement: Measurement) -> Tensor:
+    """`log CN(z; 0, sum_n r_n E[gamma] E[a a^H] + E[eta] I)` under predicted beliefs, `(*batch,)`."""
+    signal = signal_covariance(beliefs.strength, beliefs.moment)
+    covariance = mask_covariance(signal, beliefs.noise.mean, measurement.present)
+    return gaussian_log_likelihood(measurement, covariance).sum(-1)
+
+
+def sampled_evidence(
+    prior: Objects,
+    response: Tensor,
+    noise: Noise,
+    measurement: Measurement,
+    configurations: Configurations,
+    diffuse: Tensor | None = None,
+) -> Tensor:
+    """`log mean_s f(z | c_s) p(c_s) / q(c_s)` over configurations `c_s ~ q`, `(*batch,)`.
+
+    Gradients flow through likelihood and prior; the proposal is a constant.
+
+    Args:
+        prior: predicted objects, batch `(*batch, N)`; weights of the states need not be normalised.
+        response: `(*batch, N, I, P, M)` complex responses of their particles.
+        noise: predicted noise.
+        measurement: statistics of the step, batch `(*batch,)`.
+        configurations: S draws on the same support points.
+        diffuse: `(*batch, N, I, M, M)` complex covariance, per unit power, of what the objects send beside
+            their responses; None where the model is exact.
+
+    Raises:
+        NumericalError: where a covariance is not positive definite or the result not finite.
+    """
+    exists, state, power_index, level, log_proposal = configurations
+    power = prior.power.gather(-1, power_index)
+    amplitude = exists.unsqueeze(-2) * power.sqrt()  # (*batch, N, I, S)
+    particle = state[..., None, :, None].expand(*power.shape, response.shape[-1])
+    columns = response.gather(-2, particle).to(torch.complex128) * amplitude[..., None]
+    columns = columns.movedim(-4, -1)  # (*batch, I, S, M, N)
+    per_sample = Measurement(
+        measurement.factor.unsqueeze(-3).to(columns.dtype),
+        measurement.num_snapshots.unsqueeze(-1),
+        measurement.present.unsqueeze(-2),
+    )
+    variance = noise.variance.gather(-1, level)
+    if diffuse is None:
+        log_likelihood = low_rank_log_likelihood(per_sample, columns, variance)
+    else:
+        weights = (exists.unsqueeze(-2) * power).movedim(-3, -1).to(columns.dtype)  # (*batch, I, S, N)
+        flat = diffuse.movedim(-4, -3).flatten(-2).to(columns.dtype)  # (*batch, I, N, M M)
+        signal = columns @ columns.mH
+        signal = signal + (weights @ flat).unflatten(-1, signal.shape[-2:])
+        covariance = mask_covariance(signal, variance, per_sample.present)
+        log_likelihood = gaussian_log_likelihood(per_sample, covariance)
+    log_weight = (
+        log_likelihood.sum(-2)
+        + log_probability(as_belief(prior), exists, state, power_index)
+        + noise.log_weight.gather(-1, level).sum(-2)
+        - log_proposal
+    )
+    log_mean = torch.logsumexp(log_weight, -1) - math.log(log_weight.shape[-1])
+    return check_finite(log_mean, "evidence").to(noise.variance.dtype)

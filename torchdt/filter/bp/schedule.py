@@ -1,0 +1,169 @@
+"""The order in which messages are computed decides whether loopy BP succeeds.
+
+`sequential` visits the objects one after another, strongest (existence x power) first, per batch
+element; each visit uses the newest beliefs of the others. `flooding` computes all messages at once from
+the beliefs of the last pass, as loopy BP is usually written; it finds ghosts beside strong sources and
+may oscillate for ever where objects overlap.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdt.core.trees import put, take
+from torchdt.core.weights import weighted_mean
+from torchdt.filter.bp.messages import ObjectBelief, object_belief
+from torchdt.filter.bp.moments import response_moment, signal_covariance, signal_without_each, without
+from torchdt.filter.bp.noise import update_noise
+from torchdt.filter.bp.rank_one import whiten
+from torchdt.filter.state import Noise, Objects
+from torchdt.model.measurement import Measurement, mask_covariance
+
+
+class Beliefs(NamedTuple):
+    """Current beliefs of all objects and the noise on fixed support points.
+
+    Attributes:
+        objects: `ObjectBelief` of batch `(*batch, N)`.
+        noise: noise belief.
+        moment: `(*batch, N, I, M, M)` complex `E[a a^H]`, diffuse part included.
+        strength: `(*batch, N, I)` real `r E[gamma]`.
+        power: `(*batch, N, I)` real `E[gamma]` given existence.
+        diffuse: `(*batch, N, I, M, M)` complex covariance, per unit power, of what an object sends beside
+            its modelled response; None where the model is exact.
+    """
+
+    objects: ObjectBelief
+    noise: Noise
+    moment: Tensor
+    strength: Tensor
+    power: Tensor
+    diffuse: Tensor | None = None
+
+
+def as_belief(objects: Objects) -> ObjectBelief:
+    """The weights of potential objects, without their support points."""
+    return ObjectBelief(objects.log_weight, objects.log_power_weight, objects.log_odds)
+
+
+def initial_beliefs(prior: Objects, response: Tensor, noise: Noise, diffuse: Tensor | None = None) -> Beliefs:
+    """Beliefs before any message: the predicted ones."""
+    moment = response_moment(response, prior.log_weight)
+    moment = moment if diffuse is None else moment + diffuse
+    power = prior.mean_power
+    return Beliefs(as_belief(prior), noise, moment, prior.existence[..., None] * power, power, diffuse)
+
+
+def strongest_first(strength: Tensor) -> Tensor:
+    """Slots by decreasing total strength, `(*batch, N, I)` to `(*batch, N)` int64; ties keep their order."""
+    return torch.sort(strength.sum(-1), dim=-1, descending=True, stable=True).indices
+
+
+def update(
+    prior: Objects,
+    response: Tensor,
+    noise: Noise,
+    measurement: Measurement,
+    *,
+    sweeps: int = 3,
+    schedule: str = "sequential",
+    initial: Beliefs | None = None,
+) -> Beliefs:
+    """BP update of one time step on fixed particles.
+
+    Args:
+        prior: predicted objects, batch `(*batch, N)`.
+        response: `(*batch, N, I, P, M)` complex responses of the particles.
+        noise: predicted noise.
+        measurement: statistics of the step, batch `(*batch,)`.
+        sweeps: passes over all objects; the noise is updated after each.
+        schedule: `sequential` or `flooding`.
+        initial: beliefs to start from; the predicted ones if None.
+
+    Raises:
+        NumericalError: where a covariance is not positive definite or a message not finite.
+    """
+    beliefs = initial_beliefs(prior, response, noise) if initial is None else initial
+    one_sweep = _sequential_sweep if schedule == "sequential" else _flooding_sweep
+    for _ in range(sweeps):
+        beliefs = one_sweep(prior, response, measurement, beliefs)
+        signal = signal_covariance(beliefs.strength, beliefs.moment)
+        beliefs = beliefs._replace(noise=update_noise(noise, measurement, signal))
+    return beliefs
+
+
+def background(
+    beliefs: Beliefs, measurement: Measurement, index: Tensor, found: Tensor | None = None
+) -> Tensor:
+    """What one object per batch element is tested against, `(*batch, I, M, M)`.
+
+    `Sigma = sum_{m != n} strength_m E[a_m a_m^H] + E[eta] I`, and the diffuse part of object n itself, at
+    its power given existence: what no response explains must not count as evidence for one.
+
+    Args:
+        beliefs: of all objects.
+        measurement: statistics of the step.
+        index: `(*batch,)` the object.
+        found: `(*batch, I, M, M)` covariance of signals that are no objects yet.
+    """
+    signal = signal_covariance(without(beliefs.strength, index), beliefs.moment)
+    signal = signal if found is None else signal + found
+    if beliefs.diffuse is not None:
+        signal = signal + take(beliefs.power, index)[..., None, None] * take(beliefs.diffuse, index)
+    return mask_covariance(signal, beliefs.noise.mean, measurement.present)
+
+
+def _sequential_sweep(
+    prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs
+) -> Beliefs:
+    order = strongest_first(beliefs.strength)
+    # Empty slots sort last and have nothing to say; how many there are differs across the batch.
+    for visit in range(int(prior.log_odds.isfinite().sum(-1).max())):
+        index = order[..., visit]
+        whitener = whiten(measurement, background(beliefs, measurement, index))
+        slot_response, slot_power = take(response, index), take(prior.power, index)
+        slot_prior = ObjectBelief(*(take(t, index) for t in as_belief(prior)))
+        slot = object_belief(whitener, slot_response, slot_power, slot_prior)
+        beliefs = store(beliefs, index, slot, slot_power, response_moment(slot_response, slot.log_weight))
+    return beliefs
+
+
+def store(beliefs: Beliefs, index: Tensor, slot: ObjectBelief, power: Tensor, moment: Tensor) -> Beliefs:
+    """Put the new belief of one slot per batch element in its place, with its moments.
+
+    Args:
+        beliefs: of all objects.
+        index: `(*batch,)` slots.
+        slot: new belief.
+        power: `(*batch, I, G)` power support points.
+        moment: `(*batch, I, M, M)` of the modelled response.
+    """
+    mean_power = weighted_mean(power, slot.log_power_weight)
+    if beliefs.diffuse is not None:
+        moment = moment + take(beliefs.diffuse, index)
+    strength = torch.sigmoid(slot.log_odds)[..., None] * mean_power
+    return beliefs._replace(
+        objects=ObjectBelief(*(put(old, index, new) for old, new in zip(beliefs.objects, slot, strict=True))),
+        moment=put(beliefs.moment, index, moment),
+        strength=put(beliefs.strength, index, strength),
+        power=put(beliefs.power, index, mean_power),
+    )
+
+
+def _flooding_sweep(prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs) -> Beliefs:
+    per_object = measurement.unsqueeze()
+    signal = signal_without_each(beliefs.strength, beliefs.moment)
+    if beliefs.diffuse is not None:
+        signal = signal + beliefs.power[..., None, None] * beliefs.diffuse
+    noise = beliefs.noise.mean[..., None, :]
+    whitener = whiten(per_object, mask_covariance(signal, noise, per_object.present))
+    objects = object_belief(whitener, response, prior.power, as_belief(prior))
+    power = weighted_mean(prior.power, objects.log_power_weight)
+    moment = response_moment(response, objects.log_weight)
+    return beliefs._replace(
+        objects=objects,
+        moment=moment if beliefs.diffuse is None else moment + beliefs.diffuse,
+        strength=torch.sigmoid(objects.log_odds)[..., None] * power,
+        power=power,
+    )

@@ -1,0 +1,139 @@
+"""The end of a step: prune, label, estimate, resample."""
+
+import torch
+from torch import Tensor
+
+from torchdt.core.random import RandomStreams
+from torchdt.core.resampling import roughen, stop_gradient_weights, systematic_indices
+from torchdt.core.weights import effective_sample_size, standard_deviation, weighted_mean
+from torchdt.filter.bp.schedule import Beliefs
+from torchdt.filter.config import ObjectConfig, TrackerConfig
+from torchdt.filter.history import TrackHistory
+from torchdt.filter.slots import fit_slots
+from torchdt.filter.state import Objects, TrackerState
+from torchdt.model.region import Region
+
+
+def idle_particles(region: Region, num_particles: int) -> Tensor:
+    """Particles of an empty slot, `(P, D)`: they mean nothing, but moments of them must stay finite."""
+    along = torch.linspace(0, 1, num_particles, dtype=region.low.dtype, device=region.low.device)[:, None]
+    position = torch.lerp(region.low, region.high, along)
+    return torch.cat([position, torch.lerp(region.rate_low, region.rate_high, along)], -1)
+
+
+def conclude(
+    prior: Objects, beliefs: Beliefs, old: TrackerState, log_evidence: Tensor, config: TrackerConfig
+) -> tuple[Objects, Tensor, TrackHistory]:
+    """Drop improbable objects, name those declared for the first time, and report.
+
+    Args:
+        prior: known and new objects with the particles of this step, batch `(*batch, N')`.
+        beliefs: posterior beliefs about them.
+        old: state before the step, of N slots.
+        log_evidence: `(*batch,)`.
+        config: thresholds.
+
+    Returns:
+        Posterior objects of batch `(*batch, N)`, strongest first; the next free label; the estimates.
+    """
+    objects = prior._replace(
+        log_weight=beliefs.objects.log_weight,
+        log_power_weight=beliefs.objects.log_power_weight,
+        log_odds=prune(beliefs.objects.log_odds, config),
+    )
+    objects = fit_slots(objects, old.objects)
+    declared, label, next_label = declare(objects.log_odds, objects.label, old.next_label, config)
+    estimate = TrackHistory(
+        existence=objects.existence,
+        declared=declared,
+        label=label,
+        state=weighted_mean(objects.state.mT, objects.log_weight[..., None, :]),
+        state_std=standard_deviation(objects.state, objects.log_weight),
+        power=objects.mean_power,
+        noise=beliefs.noise.mean,
+        effective_sample_size=effective_sample_size(objects.log_weight),
+        failed=torch.zeros_like(log_evidence, dtype=torch.bool),
+        log_evidence=log_evidence,
+    )
+    return objects._replace(label=label), next_label, estimate
+
+
+def prune(log_odds: Tensor, config: ObjectConfig) -> Tensor:
+    """Drop improbable objects: log-odds of existence `(*batch,)`, minus infinity below the threshold."""
+    return torch.where(torch.sigmoid(log_odds) < config.prune, -torch.inf, log_odds)
+
+
+def declare(
+    log_odds: Tensor, label: Tensor, next_label: Tensor, config: ObjectConfig
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Report probable objects, and name those reported for the first time in the order of their slots.
+
+    Args:
+        log_odds: `(*batch, N)` of existence, minus infinity for an empty slot.
+        label: `(*batch, N)` int64 before the step, 0 = none yet.
+        next_label: `(*batch,)` int64, next free label.
+        config: thresholds.
+
+    Returns:
+        Which objects are reported `(*batch, N)` bool, all labels, and the next free label.
+    """
+    declared = torch.sigmoid(log_odds) > config.declare
+    fresh = declared & (label == 0)
+    label = torch.where(fresh, next_label[..., None] + fresh.cumsum(-1) - 1, label)
+    return declared, torch.where(log_odds.isneginf(), 0, label), next_label + fresh.sum(-1)
+
+
+def resample(objects: Objects, config: TrackerConfig, streams: RandomStreams) -> Objects:
+    """Equal weights where too few particles carry them.
+
+    The weights keep their gradient, see `stop_gradient_weights`.
+    """
+    offset = streams.uniform(config.slots)
+    draws = streams.normal(*objects.state.shape[-3:])
+    state, log_weight = resample_particles(objects.state, objects.log_weight, offset, draws, config)
+    return objects._replace(state=state, log_weight=log_weight)
+
+
+def resample_particles(
+    state: Tensor, log_weight: Tensor, offset: Tensor, draws: Tensor, config: ObjectConfig
+) -> tuple[Tensor, Tensor]:
+    """Resample and roughen the particle sets of low effective sample size; the others stay as they are.
+
+    Args:
+        state: `(*batch, P, D)`.
+        log_weight: `(*batch, P)` normalised.
+        offset: `(*batch,)` uniform draws on [0, 1).
+        draws: `(*batch, P, D)` standard normal.
+        config: numbers of the filter.
+
+    Returns:
+        Particles and log-weights.
+    """
+    poor = effective_sample_size(log_weight) < config.resample_below * config.particles
+    old, old_weight = state[poor], log_weight[poor]
+    ancestors = systematic_indices(old_weight, offset[poor])
+    even = stop_gradient_weights(old_weight, ancestors)
+    particles = old.gather(-2, ancestors[..., None].expand_as(old))
+    particles = roughen(particles, even.detach(), draws[poor], config.roughening)
+    return state.index_put((poor,), particles), log_weight.index_put((poor,), even)
+
+
+def empty_slots(objects: Objects, idle: Tensor) -> Objects:
+    """Put idle particles `(P, D)` of equal weight into slots without an object."""
+    state, log_weight = put_idle(objects.state, objects.log_weight, objects.log_odds, idle)
+    return objects._replace(state=state, log_weight=log_weight)
+
+
+def put_idle(state: Tensor, log_weight: Tensor, log_odds: Tensor, idle: Tensor) -> tuple[Tensor, Tensor]:
+    """Particles and log-weights of slots, idle ones of equal weight where there is no object.
+
+    Args:
+        state: `(*batch, P, D)`.
+        log_weight: `(*batch, P)` normalised.
+        log_odds: `(*batch,)` of existence, minus infinity for an empty slot.
+        idle: `(P, D)`.
+    """
+    empty = log_odds.isneginf()
+    even = -torch.log(torch.full_like(log_weight, log_weight.shape[-1]))
+    state = torch.where(empty[..., None, None], idle, state)
+    return state, torch.where(empty[..., None], even, log_weight)

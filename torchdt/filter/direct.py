@@ -1,0 +1,253 @@
+"""The direct tracker: predict, place, update, conclude."""
+
+import copy
+import math
+from functools import cached_property
+from typing import NamedTuple, Self
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from torchdt.core.random import RandomStreams
+from torchdt.data.prepare import Prepared, check_step, prepare, require_step
+from torchdt.data.recording import Recording
+from torchdt.field.base import BaseField, Field, of_each, repeat_field
+from torchdt.field.mismatch import with_share
+from torchdt.field.wrapped import CompletedField
+from torchdt.filter.bp.configurations import UniformDraws, draw_configurations, labellings
+from torchdt.filter.bp.evidence import gaussian_evidence, sampled_evidence
+from torchdt.filter.bp.schedule import Beliefs, update
+from torchdt.filter.config import TrackerConfig
+from torchdt.filter.declare import conclude, empty_slots, idle_particles, resample
+from torchdt.filter.history import TrackHistory
+from torchdt.filter.placement import Placer
+from torchdt.filter.predict import Predicted, exchangeable, predict
+from torchdt.filter.proposal.dictionary import Dictionary, build_dictionary
+from torchdt.filter.proposal.moved import Draws
+from torchdt.filter.slots import Placed
+from torchdt.filter.state import Noise, Objects, TrackerState
+from torchdt.filter.tracker import Tracker
+from torchdt.model.birth import birth_log_odds, log_no_birth
+from torchdt.model.gamma_chain import predict_chain, predicted_uniform_prior, uniform_prior
+from torchdt.model.measurement import Measurement
+from torchdt.model.parameters import Parameters, checked, default_parameters, widen
+from torchdt.model.prior import Priors, resolvable_noise
+from torchdt.model.region import Region
+from torchdt.model.wishart import log_normaliser
+
+ENOUGH = 250
+"""Particles of a predicted object from which the covariance of its response is taken, at least."""
+
+
+class StepDraws(NamedTuple):
+    """Random numbers of one step.
+
+    Attributes:
+        driving: `(*batch, N, P, d)` standard normal, of the motion.
+        known, newborn: of the proposals for known and new objects.
+        picks: `(*batch, Q, rounds, S, d)` standard normal, for refining picks.
+        evidence: of the sampled evidence.
+    """
+
+    driving: Tensor
+    known: Draws
+    newborn: Draws
+    picks: Tensor
+    evidence: UniformDraws
+
+
+class DirectTracker(Tracker[TrackerState]):
+    """Tracks a fixed number of potential objects directly from array data.
+
+    Everything is differentiable in the parameters of the model and in the field. Searches and fitted
+    proposals are constants to the gradient: they decide where particles are, the weights make up for it.
+
+    Args:
+        field: array response, of which `config.mismatch_share` is not where it says.
+        region: region of interest, less where the field says that no object can be; its dtype and device are
+            those of the tracker.
+        step_s: time step in seconds.
+        config: numbers of the model and the filter.
+        parameters: numbers of the model as tensors; None takes those of `config` and `region`.
+
+    Attributes:
+        field: as the tracker asks it: with the share of mismatch, and of positions alone too.
+
+    Raises:
+        InputError: where field, region and settings do not fit each other.
+    """
+
+    field: BaseField
+
+    def __init__(
+        self,
+        field: Field,
+        region: Region,
+        step_s: float,
+        config: TrackerConfig,
+        parameters: Parameters | None = None,
+    ):
+        self.region, self.step_s, self.config = region.within(field), require_step(step_s), config
+        self.field = CompletedField(field, region.complete)
+        if config.mismatch_share is not None:
+            anywhere = of_each(self.field, region.cell_centres()[:1])
+            self.field = with_share(self.field, config.mismatch_share, anywhere)
+        self.parameters = checked(default_parameters(config, region) if parameters is None else parameters)
+        self._idle = idle_particles(region, config.particles)
+
+    @cached_property
+    def dictionary(self) -> Dictionary:
+        """Responses of the field at the centres of the birth cells, evaluated when first asked for."""
+        return build_dictionary(self.field, self.region)
+
+    def select(self, sequences: slice) -> Self:
+        """The same tracker for some sequences of its batch; what all sequences share stays shared."""
+        field = self.field.select(sequences)
+        return self._with_field(field, self.region.select(sequences), self.parameters.select(sequences))
+
+    def repeat(self, number: int, parameters: Parameters) -> Self:
+        """The same tracker for its batch repeated as a whole, with other numbers of the model."""
+        field = repeat_field(self.field, number)
+        return self._with_field(field, self.region.within(field), parameters)
+
+    def _with_field(self, field: BaseField, region: Region, parameters: Parameters) -> Self:
+        other = self.with_parameters(parameters)
+        if field is self.field:
+            other.dictionary = self.dictionary
+        else:
+            other.field, other.region = field, region
+            other.__dict__.pop("dictionary", None)
+        return other
+
+    def with_parameters(self, parameters: Parameters) -> Self:
+        """The same tracker with other numbers of the model, see `checked`."""
+        other = copy.copy(self)
+        other.parameters = checked(parameters)
+        return other
+
+    def prepare(self, recording: Recording) -> Prepared:
+        """Scale a recording and set its priors, see `prepare`.
+
+        Raises:
+            InputError: where it does not fit the tracker; also where its steps are of another length.
+        """
+        check_step(recording, self.step_s)
+        return prepare(recording, self.field, self.region, self.config)
+
+    def init(self, priors: Priors) -> TrackerState:
+        """State before the first step, k = 1: no objects, noise uniform up to `priors.noise_max` at k = 0."""
+        cfg = self.config
+        batch = priors.noise_max.shape[:-1]
+        slots, num_tones = (*batch, cfg.slots), self.field.num_tones
+        power, log_power_weight = uniform_prior(priors.power_max, cfg.power_points)
+        objects = Objects(
+            state=self._idle.expand(*slots, -1, -1),
+            log_weight=self._idle.new_full((*slots, cfg.particles), -math.log(cfg.particles)),
+            power=power.unsqueeze(-3).expand(*slots, num_tones, -1),
+            log_power_weight=log_power_weight.unsqueeze(-3).expand(*slots, num_tones, -1),
+            log_odds=self._idle.new_full(slots, -torch.inf),
+            label=torch.zeros(slots, dtype=torch.int64, device=self._idle.device),
+        )
+        shape = widen(self.parameters.noise_shape, 1)
+        noise = Noise(*predicted_uniform_prior(priors.noise_max, cfg.noise_points, shape))
+        return TrackerState(objects, noise, torch.ones(batch, dtype=torch.int64, device=self._idle.device))
+
+    def step(
+        self, state: TrackerState, measurement: Measurement, priors: Priors, streams: RandomStreams
+    ) -> tuple[TrackerState, TrackHistory]:
+        """Take in one step of data.
+
+        Args:
+            state: belief after the last step, or `init(priors)`.
+            measurement: statistics of this step, batch `(*batch,)`.
+            priors: limits of the priors.
+            streams: random numbers; the same amount is drawn in every step.
+
+        Returns:
+            The new belief, and the estimates of this step: a `TrackHistory` without its time dimension.
+
+        Raises:
+            NumericalError: where a covariance is not positive definite or a message not finite.
+        """
+        cfg, parameters = self.config, self.parameters
+        draws = self.draw(streams)
+        given, count = measurement, parameters.effective_count
+        if count is not None:
+            measurement = given.recounted(widen(count, 1))
+        tempered = measurement.tempered(widen(parameters.likelihood_power, 1))
+        # Noise that the numbers of this step cannot resolve is as good as the least that they can. The belief
+        # that goes on keeps its support points.
+        noise = state.noise.above(resolvable_noise(measurement, priors))
+        predicted = self.predict(state._replace(noise=noise), draws.driving)
+        born = birth_log_odds(parameters.birth_mean, self.region.num_cells)
+        placer = Placer(self.field, self.region, self.dictionary, cfg, born)
+        current = placer.place(predicted, noise, tempered, priors, draws.known, draws.newborn, draws.picks)
+        beliefs = update(
+            current.objects,
+            current.response,
+            noise,
+            tempered,
+            sweeps=cfg.sweeps,
+            schedule=cfg.schedule,
+            initial=current.beliefs,
+        )
+        log_evidence = self.evidence(predicted, current, noise, measurement, beliefs, draws.evidence)
+        if count is not None:
+            log_evidence = log_evidence + log_normaliser(given, widen(count, 1)).to(log_evidence).sum(-1)
+        objects, next_label, estimate = conclude(current.objects, beliefs, state, log_evidence, cfg)
+        if cfg.proposal == "prior":
+            objects = resample(objects, cfg, streams)
+        chain = predict_chain(
+            state.noise.variance, beliefs.noise.log_weight, widen(parameters.noise_shape, 1)
+        )
+        return TrackerState(empty_slots(objects, self._idle), Noise(*chain), next_label), estimate
+
+    def draw(self, streams: RandomStreams) -> StepDraws:
+        """Random numbers of a step, always as many, whatever the other sequences of the batch need."""
+        cfg, d = self.config, self.region.num_coordinates
+        size = (cfg.rounds, cfg.round_size, d)
+        return StepDraws(
+            streams.normal(cfg.slots, cfg.particles, d),
+            Draws(streams.normal(cfg.slots, *size), streams.normal(cfg.slots, cfg.particles, 2 * d)),
+            Draws(streams.normal(cfg.births, *size), streams.normal(cfg.births, cfg.particles, 2 * d)),
+            streams.normal(cfg.births, *size),
+            UniformDraws.draw(streams, cfg.slots + cfg.births, self.field.num_tones, cfg.evidence_samples),
+        )
+
+    def predict(self, state: TrackerState, draws: Tensor) -> Predicted:
+        """Objects before the data of a step, see `torchdt.filter.predict.predict`."""
+        cfg = self.config
+        # Adapted proposals draw particles of their own: of the predicted ones they need only the moments.
+        enough = ENOUGH if cfg.proposal == "adapted" and cfg.evidence == "sampled" else None
+        model = self.field, self.region, self.parameters, self.step_s
+        return predict(*model, state, draws, cfg.gradient, enough)
+
+    def evidence(
+        self,
+        predicted: Predicted,
+        current: Placed,
+        noise: Noise,
+        measurement: Measurement,
+        beliefs: Beliefs,
+        draws: UniformDraws,
+    ) -> Tensor:
+        """Evidence of the step, `(*batch,)`; zero where there are no data. The likelihood is not tempered."""
+        if self.config.evidence == "gaussian":
+            log_evidence = gaussian_evidence(predicted.beliefs, measurement)
+        else:
+            known = predicted.objects.log_odds.shape[-1]
+            new_odds = current.objects.log_odds[..., known:]
+            # New objects are born in places of their own, and change them with no other.
+            pairs = pad(exchangeable(predicted, self.region.num_coordinates), (0, new_odds.shape[-1]) * 2)
+            components = labellings(current.objects, current.response, measurement, beliefs, pairs)
+            chosen = draws.pick(known, self.config.slots, new_odds.shape[-1])
+            drawn = draw_configurations(*components, beliefs.noise, chosen)
+            log_evidence = sampled_evidence(
+                current.objects, current.response, noise, measurement, drawn, beliefs.diffuse
+            )
+            num_new = new_odds.isfinite().sum(-1)
+            log_evidence = log_evidence + log_no_birth(
+                self.parameters.birth_mean, self.region.num_cells, num_new
+            )
+        return torch.where((measurement.num_snapshots > 0).any(-1), log_evidence, 0.0)

@@ -1,0 +1,100 @@
+"""The start of a step: where the objects are before the data."""
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+from torchdt.core.weights import mean_and_covariance, normalise
+from torchdt.field.base import BaseField
+from torchdt.filter.bp.schedule import Beliefs, as_belief, initial_beliefs
+from torchdt.filter.proposal.moved import diffuse_part, respond
+from torchdt.filter.state import Objects, TrackerState
+from torchdt.model.gamma_chain import predict_chain
+from torchdt.model.motion.constant_velocity import (
+    condition_inside,
+    predict_log_odds,
+    predict_moments,
+    predict_state,
+)
+from torchdt.model.motion.driving import drive
+from torchdt.model.parameters import Parameters, widen
+from torchdt.model.region import Region
+
+
+class Predicted(NamedTuple):
+    """Objects before the data of a step.
+
+    Attributes:
+        objects: with moved particles, batch `(*batch, N)`.
+        moments: mean `(*batch, N, D)` and covariance `(*batch, N, D, D)` of their states.
+        response: `(*batch, N, I, P, M)` complex, or of fewer particles where these are enough.
+        beliefs: before any message.
+    """
+
+    objects: Objects
+    moments: tuple[Tensor, Tensor]
+    response: Tensor
+    beliefs: Beliefs
+
+
+def predict(
+    field: BaseField,
+    region: Region,
+    parameters: Parameters,
+    step_s: float,
+    state: TrackerState,
+    draws: Tensor,
+    gradient: str,
+    enough: int | None = None,
+) -> Predicted:
+    """Move objects, powers and existence by one step; an object that leaves the region ends.
+
+    Args:
+        field: array response.
+        region: region of interest.
+        parameters: numbers of the model.
+        step_s: time step in seconds.
+        state: belief after the last step, strongest objects first; slots that are empty throughout the batch
+            are left out of the result.
+        draws: `(*batch, N, P, d)` standard normal.
+        gradient: how the particles depend on the driving noise, see `drive`.
+        enough: number of particles whose responses suffice, for their moments; None takes all.
+    """
+    dim = state.objects.log_odds.ndim - 1
+    occupied = max(1, int(state.objects.log_odds.isfinite().sum(-1).max()))
+    old = Objects(*(t.narrow(dim, 0, occupied) for t in state.objects))
+    variance = parameters.driving_variance.unsqueeze(-2)
+    driving, log_ratio = drive(draws.narrow(dim, 0, occupied), variance, gradient)
+    chain = predict_chain(old.power, old.log_power_weight, widen(parameters.power_shape, 2))
+    moved = predict_state(old.state, driving, step_s)
+    log_weight, log_inside = condition_inside(moved, old.log_weight + log_ratio, region)
+    log_odds = predict_log_odds(old.log_odds, widen(parameters.survival, 1) * log_inside.exp())
+    objects = Objects(moved, log_weight, *chain, log_odds, old.label)
+    moments = predict_moments(*mean_and_covariance(old.state, old.log_weight), step_s, variance)
+    every = 1 if enough is None else max(1, objects.state.shape[-2] // enough)
+    heard = objects
+    if every > 1:
+        heard = objects._replace(
+            state=objects.state[..., ::every, :], log_weight=normalise(objects.log_weight[..., ::every])[0]
+        )
+    response = respond(field, heard.state)
+    diffuse = diffuse_part(field, objects.state, objects.log_weight)
+    beliefs = initial_beliefs(heard, response, state.noise, diffuse)._replace(objects=as_belief(objects))
+    return Predicted(objects, moments, response, beliefs)
+
+
+def exchangeable(predicted: Predicted, num_coordinates: int, within: float = 3.0) -> Tensor:
+    """Pairs of objects that could change places, `(*batch, N, N)` bool: their predictions overlap.
+
+    Args:
+        predicted: objects before the data.
+        num_coordinates: d; only positions count.
+        within: distance of the means in standard deviations of their difference.
+    """
+    mean, covariance = (t.detach()[..., :num_coordinates] for t in predicted.moments)
+    variance = covariance.diagonal(dim1=-2, dim2=-1)
+    distance = (mean.unsqueeze(-2) - mean.unsqueeze(-3)).square()
+    spread = variance.unsqueeze(-2) + variance.unsqueeze(-3)
+    there = predicted.objects.log_odds.isfinite()
+    both = there.unsqueeze(-1) & there.unsqueeze(-2)
+    return both & ((distance / spread).sum(-1) < within**2)

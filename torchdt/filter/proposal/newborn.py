@@ -1,0 +1,223 @@
+"""Proposals for new objects: matching pursuit on what is left unexplained, refined between the cells.
+
+Cells are picked one after another where one more object raises the likelihood most, given the known
+objects, the earlier picks and the noise. Each pick is refined off the grid before the next, since at
+30 dB half a cell beside the peak is enough energy left over for a ghost. Picks stop early when even at
+the peak of the likelihood the posterior existence would stay below the pruning threshold; while the noise
+level is unknown they are judged together.
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdt.core.importance import Box, Density, adapt
+from torchdt.core.weights import weighted_mean
+from torchdt.field.base import BaseField, Field
+from torchdt.filter.bp.messages import state_message
+from torchdt.filter.bp.moments import signal_covariance, signal_without_each
+from torchdt.filter.bp.noise import update_noise
+from torchdt.filter.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics, whiten
+from torchdt.filter.proposal.dictionary import Dictionary
+from torchdt.filter.proposal.moved import Draws, respond
+from torchdt.filter.proposal.neighbourhood import cell_around, drop_foreign, grow, log_cells, place_of
+from torchdt.filter.proposal.strongest import strongest_cell
+from torchdt.filter.state import Noise, Objects
+from torchdt.model.gamma_chain import uniform_prior_around
+from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask_covariance
+from torchdt.model.motion.constant_velocity import drop_outside
+from torchdt.model.region import Region
+
+UNSETTLED = 0.25
+"""Variance of the logarithm of a noise variance from which on the noise level counts as unknown."""
+
+
+class Picks(NamedTuple):
+    """Refined picks, in order of picking.
+
+    Attributes:
+        position: `(*batch, Q, d)`.
+        power: `(*batch, Q, I)` the best power of each tone; zero where inactive.
+        scale: `(*batch, Q, I)` where the likelihood of the power lies: the best one, or that which drowns in
+            the background; infinite for a tone that is not heard.
+        moment: `(*batch, Q, I, M, M)` complex `a a^H`, diffuse part included.
+        diffuse: `(*batch, Q, I, M, M)` complex covariance per unit power, None where the model is exact.
+        active: `(*batch, Q)` bool.
+    """
+
+    position: Tensor
+    power: Tensor
+    scale: Tensor
+    moment: Tensor
+    diffuse: Tensor | None
+    active: Tensor
+
+
+def search(
+    field: BaseField,
+    region: Region,
+    dictionary: Dictionary,
+    measurement: Measurement,
+    signal: Tensor,
+    noise: Noise,
+    free: Tensor,
+    threshold: Tensor,
+    rounds: Tensor,
+    *,
+    refine: bool = True,
+) -> tuple[Picks | None, Noise]:
+    """Pick cells and refine them.
+
+    Args:
+        measurement: statistics of the step, batch `(*batch,)`.
+        signal: `(*batch, I, M, M)` covariance of the known objects.
+        noise: predicted noise belief.
+        free: `(*batch,)` int64, how many new objects there is room for.
+        threshold: `(*batch,)`, smallest log-likelihood ratio at its peak that is worth a new object.
+        rounds: `(*batch, Q, rounds, S, d)` standard normal draws; Q is the largest number of picks.
+        refine: look for the peak between the grid's points; else a pick stays at the centre of its cell.
+
+    Returns:
+        The picks, as many as any batch element needs (None if no element needs any), and the noise belief
+        with the known objects and the picks explained.
+    """
+    known, belief = signal, update_noise(noise, measurement, signal)
+    # While the noise level is unknown, sources that are many and equal each pass for noise: look further.
+    unsettled = _log_variance(noise).amax(-1) > UNSETTLED
+    alive = torch.ones_like(free, dtype=torch.bool)
+    found: list[tuple[Tensor, ...]] = []
+    scattered: list[Tensor] = []
+    gains = [_log_likelihood(measurement, signal, belief)]
+    for pick in range(rounds.shape[-4]):
+        whitener = whiten(measurement, mask_covariance(signal, belief.mean, measurement.present))
+        score, cell = strongest_cell(dictionary, whitener, alive)
+        alive = alive & ((score > threshold) | unsettled) & (pick < free)
+        if not bool(alive.any()):
+            break
+        position = dictionary.points[cell]
+        if refine:
+            position = _refine(field, region, whitener, position, rounds[..., pick, :, :, :])
+        response = respond(field, position[..., None, :])
+        s, q = statistics(whitener, response)
+        _, power = peak_log_likelihood_ratio(whitener.num_snapshots, s[..., 0], q[..., 0])
+        scale = torch.maximum(power, 1 / s[..., 0])
+        power = torch.where(alive[..., None], power, 0.0)
+        moment = response.mT @ response.conj()
+        scatter = field.diffuse(position)
+        if scatter is not None:
+            scattered.append(scatter)
+            moment = moment + scatter
+        signal = signal + power[..., None, None] * moment
+        belief = update_noise(noise, measurement, signal)
+        gains.append(_log_likelihood(measurement, signal, belief))
+        found.append((position, power, scale, moment, alive))
+    if not found:
+        return None, belief
+    dim = free.ndim
+    position, power, scale, moment, alive = (torch.stack(parts, dim) for parts in zip(*found, strict=True))
+    # Together the picks up to the last one kept are worth the threshold each.
+    gain = torch.stack(gains[1:], dim) - gains[0][..., None]
+    rank = torch.arange(1, len(found) + 1, dtype=gain.dtype, device=gain.device)
+    worthy = (alive & (gain > rank * threshold[..., None])).flip(-1).cummax(-1).values.flip(-1)
+    active = torch.where(unsettled[..., None], worthy, alive)
+    power = torch.where(active[..., None], power, 0.0)
+    if bool((alive & ~active).any()):
+        belief = update_noise(noise, measurement, known + signal_covariance(power, moment))
+    diffuse = torch.stack(scattered, dim) if scattered else None
+    picks = Picks(position, power, scale, moment, diffuse, active)
+    return (picks if bool(active.any()) else None), belief
+
+
+def _log_variance(noise: Noise) -> Tensor:
+    """Variance of log eta, `(*batch, I)`."""
+    log_value = noise.variance.log()
+    mean = weighted_mean(log_value, noise.log_weight)
+    return weighted_mean((log_value - mean[..., None]).square(), noise.log_weight)
+
+
+def _log_likelihood(measurement: Measurement, signal: Tensor, noise: Noise) -> Tensor:
+    covariance = mask_covariance(signal, noise.mean, measurement.present)
+    return gaussian_log_likelihood(measurement, covariance).sum(-1)
+
+
+def _refine(field: Field, region: Region, whitener: Whitener, centre: Tensor, rounds: Tensor) -> Tensor:
+    """Peak of the likelihood within a cell of the picked one, `(*batch, d)`."""
+
+    def peak(position: Tensor) -> Tensor:
+        s, q = statistics(whitener, respond(field, position))
+        gain = peak_log_likelihood_ratio(whitener.num_snapshots[..., None], s, q)[0].sum(-2)
+        return drop_outside(position, gain, region)
+
+    around = Box((centre - region.cell).clamp_min(region.low), (centre + region.cell).clamp_max(region.high))
+    return adapt(peak, around, rounds.movedim(-3, 0)).fitted.mean
+
+
+def propose_newborn(
+    field: Field,
+    region: Region,
+    measurement: Measurement,
+    signal: Tensor,
+    picks: Picks,
+    noise: Noise,
+    power_max: Tensor,
+    power_points: int,
+    log_odds: Tensor,
+    draws: Draws,
+    *,
+    adapted: bool = True,
+) -> tuple[Objects, Tensor]:
+    """New objects around the picks, with particles where prior and likelihood meet.
+
+    The prior is uniform in the rates and, in position, over a box around the pick, see
+    `torchdt.filter.proposal.neighbourhood`; positions come from a proposal fitted to prior times likelihood,
+    given the other picks, and are weighted by prior over proposal.
+
+    Args:
+        signal: `(*batch, I, M, M)` covariance of the known objects.
+        noise: noise belief with known objects and picks explained.
+        power_max: `(*batch, I)` upper limit of the uniform prior of the powers.
+        power_points: number G of their support points.
+        log_odds: `(*batch,)`, prior log-odds of an object in one cell.
+        draws: at least as many as picks.
+        adapted: fit box and proposal to the likelihood; else particles are uniform in one cell.
+
+    Returns:
+        Objects of batch `(*batch, Q)` (log-odds minus infinity where a pick is inactive), whose weights add
+        up to the number of cells that their boxes are worth, and their responses `(*batch, Q, I, P, M)`.
+    """
+    num = picks.active.shape[-1]
+    rounds, final = draws.rounds[..., :num, :, :, :], draws.final[..., :num, :, :]
+    maximum = power_max.unsqueeze(-2).expand_as(picks.scale)
+    power, log_power_weight = uniform_prior_around(picks.scale, maximum, power_points)
+    others = signal.unsqueeze(-4) + signal_without_each(picks.power, picks.moment)
+    if picks.diffuse is not None:
+        others = others + picks.power[..., None, None] * picks.diffuse
+    per_pick = measurement.unsqueeze()
+    whitener = whiten(per_pick, mask_covariance(others, noise.mean[..., None, :], per_pick.present))
+
+    def log_likelihood(position: Tensor) -> Tensor:
+        message = state_message(whitener, respond(field, position), power, log_power_weight)
+        return drop_outside(position, message, region)
+
+    peak, draws_of_rounds = picks.position, rounds.movedim(-3, 0)
+    prior = grow(log_likelihood, peak, region, draws_of_rounds) if adapted else cell_around(peak, region)
+    proposal: Density = prior
+    places = prior
+    if adapted:
+        proposal = mixture = adapt(log_likelihood, prior, draws_of_rounds)
+        places = place_of(mixture.fitted, prior)
+    d = region.num_coordinates
+    position = proposal.sample(final[..., :d])
+    rate = region.rate_low + (region.rate_high - region.rate_low) * torch.special.ndtr(final[..., d:])
+    # Of all boxes the odds are those of one cell, so that none goes first for being large; the weights of a
+    # box add up to the number of its cells instead.
+    log_prior = prior.log_prob(position) + log_cells(prior, region)[..., None]
+    log_weight = log_prior - proposal.log_prob(position) - math.log(final.shape[-2])
+    state = torch.cat([position, rate], -1)
+    log_weight = drop_outside(state, log_weight, region)
+    log_weight = drop_foreign(position, log_weight, places, picks.active)
+    odds = torch.where(picks.active, log_odds[..., None], -torch.inf)
+    label = torch.zeros(picks.active.shape, dtype=torch.int64, device=state.device)
+    return Objects(state, log_weight, power, log_power_weight, odds, label), respond(field, state)

@@ -1,0 +1,73 @@
+"""What the filter carries from step to step: beliefs about objects and noise."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdt.core.weights import weighted_mean
+
+
+class Objects(NamedTuple):
+    """Beliefs about N potential objects; an empty slot has `log_odds` of minus infinity.
+
+    Attributes:
+        state: `(*batch, N, P, D)` particles: d positions, then d rates.
+        log_weight: `(*batch, N, P)` normalised log-weights.
+        power: `(*batch, N, I, G)` support points of each tone's power.
+        log_power_weight: `(*batch, N, I, G)` normalised log-weights.
+        log_odds: `(*batch, N)` log p(exists) / p(does not).
+        label: `(*batch, N)` int64, 0 until the object is first declared.
+    """
+
+    state: Tensor
+    log_weight: Tensor
+    power: Tensor
+    log_power_weight: Tensor
+    log_odds: Tensor
+    label: Tensor
+
+    @property
+    def existence(self) -> Tensor:
+        """Existence probability r, `(*batch, N)`."""
+        return torch.sigmoid(self.log_odds)
+
+    @property
+    def mean_power(self) -> Tensor:
+        """E[gamma] of each tone given existence, `(*batch, N, I)`."""
+        return weighted_mean(self.power, self.log_power_weight)
+
+
+class Noise(NamedTuple):
+    """Belief about the noise variance of each tone.
+
+    Attributes:
+        variance: `(*batch, I, E)` support points.
+        log_weight: `(*batch, I, E)` normalised log-weights.
+    """
+
+    variance: Tensor
+    log_weight: Tensor
+
+    @property
+    def mean(self) -> Tensor:
+        """E[eta] of each tone, `(*batch, I)`."""
+        return weighted_mean(self.variance, self.log_weight)
+
+    def above(self, least: Tensor) -> "Noise":
+        """The same belief with no support point below `(*batch, I)` values."""
+        return self._replace(variance=torch.maximum(self.variance, least[..., None]))
+
+
+class TrackerState(NamedTuple):
+    """Everything a tracker needs to go on.
+
+    Attributes:
+        objects: beliefs after the last step.
+        noise: belief predicted for the next step.
+        next_label: `(*batch,)` int64, next free label.
+    """
+
+    objects: Objects
+    noise: Noise
+    next_label: Tensor
