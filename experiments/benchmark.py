@@ -1,8 +1,8 @@
 """Measure time and memory beside plain implementations: `python experiments/benchmark.py --help`."""
 
-from torchdt.app.job import job
+from laboratory import job
 
-main = job("benchmark")
+main = job("benchmark", "benchmarks")
 
 if __name__ == "__main__":
     main()

@@ -1,6 +1,6 @@
 """Compare trackers on a suite of scenarios: `python experiments/compare.py --help`."""
 
-from torchdt.app.job import job
+from laboratory import job
 
 main = job("compare")
 

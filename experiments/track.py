@@ -1,6 +1,6 @@
 """Track objects directly from array snapshots: `python experiments/track.py --help`."""
 
-from torchdt.app.job import job
+from laboratory import job
 
 main = job("track")
 

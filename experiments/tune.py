@@ -1,6 +1,6 @@
 """Tune hyperparameters of the tracker: `python experiments/tune.py --help`."""
 
-from torchdt.app.job import job
+from laboratory import job
 
 main = job("tune")
 

@@ -8,12 +8,10 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from hydra import compose, initialize_config_module
-from oracles.scripts import SMALL, call, load
+from oracles.scripts import SMALL, call, load, track_settings
 
 from torchdt.app import track
 from torchdt.app.build import simulate
-from torchdt.app.settings import settings_of
 
 SMALL_LINE = ("scenario=line_array", *SMALL)
 
@@ -74,14 +72,7 @@ def launch(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def settings():
-    """Settings of a composed configuration, small unless told otherwise."""
-
-    def settings(*overrides, small=True):
-        with initialize_config_module("torchdt.conf", version_base="1.3"):
-            size = SMALL_LINE if small else ()
-            return settings_of(compose("track", overrides=[*size, *overrides]))
-
-    return settings
+    return track_settings
 
 
 @pytest.fixture(scope="session")

@@ -7,13 +7,12 @@ import yaml
 from hydra import compose, initialize_config_module
 from hydra.core.hydra_config import HydraConfig
 from oracles.processes import at_work
-from oracles.scripts import FOLDER, SMALL, call, load
+from oracles.scripts import SMALL, call, configured, load
 
 from torchdt.app import track
 from torchdt.app.claims import RUN, SWEEP
 
 SIZE = ("scenario=line_array", *SMALL, "logging=quiet", "checkpoint_s=null")
-CONFIGURATIONS = FOLDER.parent / "conf"
 
 
 def start(directory, *arguments):
@@ -89,7 +88,7 @@ def test_a_job_claims_without_the_callback(tmp_path):
     assert not (tmp_path / "manifest.json").exists()
 
 
-@pytest.mark.parametrize("path", sorted(CONFIGURATIONS.glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", configured("*.yaml").values(), ids=lambda path: path.stem)
 def test_all_names_are_of_their_own(path):
     content = yaml.safe_load(path.read_text())["hydra"]
     assert all(

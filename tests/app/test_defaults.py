@@ -1,16 +1,11 @@
 """Dataclasses and the configuration say the same: no default stands twice with two values."""
 
-from pathlib import Path
-
 import pytest
-import torchdt.conf
-from hydra import compose, initialize_config_module
+from hydra import compose
 from omegaconf import DictConfig, OmegaConf
+from oracles.scripts import configuration, configured, load
 
-from torchdt.app.job import job
-
-CONF = Path(torchdt.conf.__file__).parent
-JOBS = sorted(path.stem for path in CONF.glob("*.yaml"))
+JOBS = sorted(configured("*.yaml"))
 GROUPS = [
     ("track", "data=wav", "data"),
     ("track", "data=tart", "data"),
@@ -26,8 +21,8 @@ GROUPS = [
 @pytest.fixture(scope="module", autouse=True)
 def _conf():
     for name in JOBS:
-        job(name)  # whose import brings its schema
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
+        load(name)  # whose import brings its schema
+    with configuration():
         yield
 
 
@@ -50,7 +45,7 @@ def _is_empty(default: object) -> bool:
 def test_jobs(name):
     """Their own keys; groups, which may be chosen, come below."""
     config = compose(name)
-    groups = {group for group in config if (CONF / group).is_dir()} | {"conventional"}
+    groups = {group for group in config if configured(f"{group}/*.yaml")} | {"conventional"}
     found = differences(
         OmegaConf.masked_copy(config, [k for k in config if k not in groups]), OmegaConf.get_type(config)
     )

@@ -2,18 +2,15 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
-import torchdt.conf
-from hydra import compose, initialize_config_module
+from hydra import compose
 from hydra.plugins.launcher import Launcher
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
-from oracles.scripts import SMALL
+from oracles.scripts import CONF, SMALL, configuration, configured
 
-import torchdt.app.tune_settings
 from torchdt.app import fields
 from torchdt.app.build import build_region, build_tracker, simulate
 from torchdt.app.claims import DirectoryClaims
@@ -22,18 +19,17 @@ from torchdt.app.sweep import SweepReport
 from torchdt.app.tunable import build_problem, gather
 from torchdt.calibration.environment import CalibrationConfig
 
-CONF = Path(torchdt.conf.__file__).parent
 SHORT = ("scenario.num_steps=2", "logging=quiet")
 
 
 def options(group):
-    found = sorted(path.stem for path in CONF.glob(f"{group}/*.yaml"))
+    found = sorted(configured(f"{group}/*.yaml"))
     assert found
     return found
 
 
 def composed(job, *overrides, **keys):
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
+    with configuration():
         return compose(job, overrides=list(overrides), **keys)
 
 
@@ -61,7 +57,7 @@ def line():
 
 
 def test_no_group_is_forgotten():
-    groups = {path.parent.relative_to(CONF).as_posix() for path in CONF.glob("*/**/*.yaml")}
+    groups = {path.parent.relative_to(c).as_posix() for c in CONF for path in c.glob("*/**/*.yaml")}
     here = {name.removeprefix("test_").replace("hydra_", "hydra/") for name in globals()}
     assert groups - {"experiment", "hydra/help"} <= here  # these two have files of their own
 

@@ -1,20 +1,15 @@
 """`--help` says what a command does, what there is to choose, and how it is used."""
 
 import re
-from pathlib import Path
 from unittest import mock
 
 import pytest
-import torchdt.conf
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra.core.object_type import ObjectType
-from oracles.scripts import call, load
+from oracles.scripts import call, configured, load
 
-CONF = Path(torchdt.conf.__file__).parent
-JOBS = sorted(path.stem for path in CONF.glob("*.yaml"))
-GROUPS = sorted(
-    path.name for path in CONF.iterdir() if path.is_dir() and path.name not in ("hydra", "__pycache__")
-)
+JOBS = sorted(configured("*.yaml"))
+GROUPS = sorted({path.parent.name for path in configured("*/*.yaml").values()})
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -55,7 +50,7 @@ def test_groups_and_their_options(text):
     lines = text[1].splitlines()
     for group in GROUPS:
         (line,) = (line for line in lines if line.startswith(f"{group}: "))
-        options = {path.stem for path in CONF.glob(f"{group}/*.yaml")}
+        options = set(configured(f"{group}/*.yaml"))
         assert set(line.partition(": ")[2].split(", ")) == options
 
 
@@ -72,7 +67,7 @@ def test_usual_settings_exist(text):
 
 def test_launchers(text):
     listed = text[1].partition("hydra/launcher=NAME")[2].partition("+experiment=NAME")[0]
-    assert {path.stem for path in CONF.glob("hydra/launcher/*.yaml")} <= set(re.split(r"[\s,]+", listed))
+    assert set(configured("hydra/launcher/*.yaml")) <= set(re.split(r"[\s,]+", listed))
 
 
 def test_narrow_enough_for_a_terminal(text):

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 from dataclasses import is_dataclass
 
 import pytest
-from hydra import compose, initialize_config_module
+from hydra import compose
 from omegaconf import AnyNode, Container, DictConfig, FloatNode, IntegerNode, ListConfig, OmegaConf
 from omegaconf.errors import ValidationError
+from oracles.scripts import configuration, load
 
-from torchdt.app.job import job
 from torchdt.core.errors import InputError
 
 CONFIGURATIONS = {
@@ -39,8 +39,8 @@ OTHERS = ("field", "hyperparameters")
 @pytest.fixture(scope="module", params=CONFIGURATIONS)
 def config(request):
     name, *overrides = CONFIGURATIONS[request.param]
-    job(name)  # whose import brings its schema
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
+    load(name)  # whose import brings its schema
+    with configuration():
         return compose(name, overrides=overrides)
 
 

@@ -4,12 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
-import torchdt.conf
-from oracles.scripts import SMALL, call, load
+from oracles.scripts import SMALL, call, configured, load
 
-CONF = Path(torchdt.conf.__file__).parent
 DOCS = Path(__file__).parents[2] / "docs"
-PRESETS = sorted(path.stem for path in CONF.glob("experiment/*.yaml"))
+PRESETS = configured("experiment/*.yaml")
 OVERRIDES = 'overrides=["scenario.num_steps=5","tracker.slots=4","tracker.particles=100"]'
 STARTS = {
     "paper": ("track", *SMALL, "calibration=none", "logging=quiet"),
@@ -47,7 +45,7 @@ def test_all_are_known():
 @pytest.mark.parametrize("preset", STARTS)
 def test_its_line_is_at_the_top_and_in_the_documentation(preset):
     line = f"python experiments/{STARTS[preset][0]}.py +experiment={preset}"
-    assert line in (CONF / "experiment" / f"{preset}.yaml").read_text()
+    assert line in PRESETS[preset].read_text()
     assert line in (DOCS / "launching.md").read_text()
 
 
@@ -81,7 +79,7 @@ def test_suites_name_what_there_is(preset):
     _, out, _ = start(preset, STARTS[preset][0], "--cfg", "job")
     assert out.count("- ") > 5
     listed = {line.removeprefix("- ") for line in out.splitlines() if line.startswith("- ")}
-    known = {path.stem for group in ("scenario", "tracker") for path in CONF.glob(f"{group}/*.yaml")}
+    known = configured("scenario/*.yaml").keys() | configured("tracker/*.yaml")
     assert {name for name in listed if not name.isdigit()} <= known
 
 

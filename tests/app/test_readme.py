@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hydra import compose, initialize_config_module
-from oracles.scripts import load
+from hydra import compose
+from oracles.scripts import configuration, load
 
 from torchdt.data.npz import write_npz
 from torchdt.data.recording import validate
@@ -67,7 +67,7 @@ def test_overrides_compose(job):
     overrides = [word for word in job[2:] if not word.startswith("-")]
     if "-m" in job:
         overrides = [word.partition(",")[0] for word in overrides]
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
+    with configuration():
         assert compose(script, overrides=overrides, return_hydra_config=True).hydra.job.chdir is False
 
 

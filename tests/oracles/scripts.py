@@ -11,6 +11,12 @@ from pathlib import Path
 from types import ModuleType
 from unittest import mock
 
+from hydra import compose, initialize_config_module
+
+from laboratory import CONF as LABORATORY
+from torchdt.app.search_path import configuration_from
+from torchdt.app.settings import TrackSettings, settings_of
+
 FOLDER = Path(__file__).parents[2] / "experiments"
 SMALL = (
     "scenario.num_steps=5",
@@ -22,9 +28,33 @@ SMALL = (
 )
 
 
+PACKAGE = Path(__file__).parents[2] / "conf"
+CONF = PACKAGE, LABORATORY
+"""Where configuration is: that of the package, and that of jobs which are not in it."""
+
+
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
+
+
+def configured(pattern: str) -> dict[str, Path]:
+    """Files of configuration by their stem."""
+    return {path.stem: path for folder in CONF for path in sorted(folder.glob(pattern))}
+
+
+@contextlib.contextmanager
+def configuration() -> Iterator[None]:
+    """For `hydra.compose`: all that the scripts find."""
+    with configuration_from(LABORATORY), initialize_config_module("torchdt.conf", version_base="1.3"):
+        yield
+
+
+def track_settings(*overrides: str, small: bool = True) -> TrackSettings:
+    """Settings of `experiments/track.py`, of a small scenario unless told otherwise."""
+    size = ("scenario=line_array", *SMALL) if small else ()
+    with configuration():
+        return settings_of(compose("track", overrides=[*size, *overrides]))
 
 
 def load(name: str) -> ModuleType:

@@ -17,6 +17,7 @@ from hydra.errors import MissingConfigException
 from omegaconf import DictConfig
 
 from torchdt.app.progress import is_alone
+from torchdt.app.search_path import configuration_from
 from torchdt.app.tuned import check_command_line
 from torchdt.core.endings import INTERRUPTED, end, wants_traceback
 from torchdt.core.errors import InputError, StorageError
@@ -33,18 +34,19 @@ EXTRAS = {
 """Extras of torchdt that bring the launchers on which its presets build."""
 
 
-def job(name: str) -> Callable[[], None]:
+def job(name: str, package: str = "torchdt.app", *folders: Path) -> Callable[[], None]:
     """The command line of a job, which Hydra reads from `sys.argv`.
 
-    Job `x` is `run_x` of `torchdt.app.x`, with the configuration `x` of `torchdt.conf`, and its log is
-    `x.log`. Warnings go there too. A number that it returns is for sweeps to minimise. Where it returns rows,
-    one of which has an `error`, the exit status is 1; as part of a sweep the job has failed.
+    Job `x` is `run_x` of `package.x`, with the configuration `x` of `torchdt.conf` or of one of the folders,
+    whose groups add to those of the package, and its log is `x.log`. Warnings go there too. A number that it
+    returns is for sweeps to minimise. Where it returns rows, one of which has an `error`, the exit status is
+    1; as part of a sweep the job has failed.
 
     What ends a job from outside is said in one line: bad input and storage that fails (both with a traceback
     under `HYDRA_FULL_ERROR=1`), Ctrl-C and how to go on, a launcher's missing package. At its end
     it gives back the directories that it has claimed.
     """
-    run = getattr(import_module(f"torchdt.app.{name}"), f"run_{name}")
+    run = getattr(import_module(f"{package}.{name}"), f"run_{name}")
 
     @functools.wraps(run)
     def task(config: DictConfig) -> float | None:
@@ -63,7 +65,8 @@ def job(name: str) -> Callable[[], None]:
     def main() -> None:
         try:
             check_command_line(sys.argv[1:])
-            start()
+            with configuration_from(*folders):
+                start()
         except InputError as error:
             if wants_traceback():
                 raise

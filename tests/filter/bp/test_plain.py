@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 from oracles import plain_bp
 from oracles.plain_field import PlainField
 
-from torchdt.benchmark.problem import random_problem
-from torchdt.benchmark.update import plain_problem
+from benchmarks.problem import random_problem
+from benchmarks.update import plain_problem
 from torchdt.field import Environment, HalfSpace, NormalModeField, solve_modes
 from torchdt.filter.bp.schedule import update
 
@@ -54,21 +54,21 @@ def check(found, expected, present, rtol, atol):
 @pytest.mark.parametrize(("seed", "objects"), [(0, 3), (1, 4), (2, 5)])
 def test_update_is_that_of_the_plain_formulation(seed, objects, loudness, missing):
     problem = make_problem(seed, objects, loudness, missing)
-    plain = plain_bp.update(plain_problem(plain_bp, *problem), sweeps=3)
+    plain = plain_bp.update(plain_problem(*problem), sweeps=3)
     check(update(*problem, sweeps=3), plain, problem[-1].present, 1e-8, 1e-8)
 
 
 @pytest.mark.parametrize("sweeps", [1, 2])
 def test_every_sweep_is_that_of_the_plain_formulation(sweeps):
     problem = make_problem(1, 4, QUIET)
-    plain = plain_bp.update(plain_problem(plain_bp, *problem), sweeps)
+    plain = plain_bp.update(plain_problem(*problem), sweeps)
     check(update(*problem, sweeps=sweeps), plain, problem[-1].present, 1e-8, 1e-8)
 
 
 def test_empty_slots_are_left_alone():
     prior, *rest = make_problem(1, 4, QUIET)
     prior.log_odds[1] = -torch.inf
-    plain = plain_bp.update(plain_problem(plain_bp, prior, *rest))
+    plain = plain_bp.update(plain_problem(prior, *rest))
     assert plain.log_odds[1] == -np.inf
     check(update(prior, *rest), plain, rest[-1].present, 1e-8, 1e-8)
 
@@ -76,13 +76,13 @@ def test_empty_slots_are_left_alone():
 @pytest.mark.parametrize("loudness", [LOUD, QUIET])
 def test_single_precision_is_close_to_the_plain_formulation(loudness):
     problem = make_problem(1, 4, loudness, dtype=torch.float32)
-    plain = plain_bp.update(plain_problem(plain_bp, *problem))
+    plain = plain_bp.update(plain_problem(*problem))
     check(update(*problem), plain, problem[-1].present, 1e-4, 1e-3)
 
 
 @pytest.mark.parametrize("missing", [False, True])
 def test_both_plain_formulations_agree(missing):
-    problem = plain_problem(plain_bp, *make_problem(1, 4, QUIET, missing))
+    problem = plain_problem(*make_problem(1, 4, QUIET, missing))
     first = plain_bp.update(problem)
     second = plain_bp.update(problem, log_ratios=plain_bp.by_cholesky)
     for a, b in zip(first[:-1], second[:-1], strict=True):
@@ -90,7 +90,7 @@ def test_both_plain_formulations_agree(missing):
 
 
 def test_a_factorisation_serves_any_of_the_power_points():
-    tone = plain_problem(plain_bp, *make_problem(0, 3, LOUD)).tones[0]
+    tone = plain_problem(*make_problem(0, 3, LOUD)).tones[0]
     arguments = (0.05 * np.eye(8), tone.response[0])
     every = plain_bp.by_rank_one(*arguments, tone.power[0], tone.factor, tone.J)
     some = plain_bp.by_cholesky(*arguments, tone.power[0, 2:4], tone.factor, tone.J)

@@ -5,7 +5,7 @@ import pytest
 import torch
 from oracles.line_array import make_tracker, simulate
 
-from torchdt.benchmark import steps
+from benchmarks import steps
 from torchdt.core.errors import InputError
 from torchdt.core.random import RandomStreams
 from torchdt.data.recording import validate

@@ -15,8 +15,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchdt.app.report.benchmark import Measured
-from torchdt.benchmark.clock import clock, clock_in_turn
+from benchmarks.clock import clock, clock_in_turn
+from benchmarks.report import Measured
 from torchdt.core.random import RandomStreams
 from torchdt.core.resampling import stop_gradient_weights, systematic_indices
 from torchdt.core.weights import normalise

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchdt.benchmark import peers
+from benchmarks import peers
 from torchdt.core.random import RandomStreams
 
 

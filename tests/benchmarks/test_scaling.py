@@ -5,7 +5,7 @@ import pytest
 import torch
 from oracles.line_array import make_tracker, simulate
 
-from torchdt.benchmark import scaling
+from benchmarks import scaling
 from torchdt.data.recording import validate
 
 BASE = {"slots": 2, "particles": 20, "tones": 2, "sensors": 5, "snapshots": 3, "batch": 1, "sweeps": 1}

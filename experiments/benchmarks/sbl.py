@@ -1,27 +1,25 @@
 """Time and memory of sparse Bayesian learning, beside plain formulations of the same mathematics."""
 
-import math
 import tempfile
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from statistics import median
-from types import ModuleType
 
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchdt.app.report.benchmark import HIGH, Measured, Plain, plain_rows
+from benchmarks.clock import clock
+from benchmarks.memory import probe
+from benchmarks.oracle import load_oracle
+from benchmarks.report import HIGH, Measured, Plain, plain_rows
 from torchdt.baselines.detect.peaks import find_peaks
 from torchdt.baselines.detect.sbl import SparseBayesianLearning
 from torchdt.baselines.detect.spectrum import sparse_spectrum
-from torchdt.benchmark.clock import clock
-from torchdt.benchmark.memory import probe
-from torchdt.benchmark.oracle import ORACLES, load_oracle
 from torchdt.model.measurement import Measurement
 
-ORACLE = ORACLES / "sparse_bayesian.py"
+ORACLE = load_oracle("sparse_bayesian")
 """The plain formulations."""
 
 PEAKS = 256
@@ -51,24 +49,20 @@ def measure_sbl(
         steps: of data, each without a batch.
         repeats: of every step, and iterations with outer products; medians count.
     """
-    oracle, device = load_oracle(ORACLE), steps[0].factor.device
+    device = steps[0].factor.device
     detector(steps[0])
     seconds, plain = [], []
     for step in steps:
         call = partial(detector, step)
         seconds.append(median(clock(call, device)[0] for _ in range(repeats)))
-        if oracle is not None:
-            plain.append(beside_matrix_products(oracle, detector, step))
+        plain.append(beside_matrix_products(detector, step))
     precision = str(detector.region.low.dtype).removeprefix("torch.")
     limits = f"prune {detector.config.prune:g}, at most {detector.config.max_iterations} iterations"
     note = f"{precision}, grid {detector.region.grid_shape}, {limits}"
-    rows = [Measured("sbl", "torchdt", median(seconds), "s/step", note)]
-    if oracle is None:
-        rows.append(Measured("sbl", "NumPy", math.nan, "s/step", f"left out: there is no {ORACLE}"))
-    else:
-        iteration = clock_outer_products(oracle, detector, steps[0], repeats)
-        rows += plain_rows(seconds, plain, iteration, repeats)
-    return rows + measure_memory(detector, steps[0])
+    own = Measured("sbl", "torchdt", median(seconds), "s/step", note)
+    iteration = clock_outer_products(detector, steps[0], repeats)
+    beside = plain_rows(seconds, plain, iteration, repeats)
+    return [own, *beside, *measure_memory(detector, steps[0])]
 
 
 def plain_problem(detector: SparseBayesianLearning, step: Measurement) -> tuple[NDArray, NDArray]:
@@ -79,11 +73,11 @@ def plain_problem(detector: SparseBayesianLearning, step: Measurement) -> tuple[
     return columns.cpu().numpy(), scatter.cpu().numpy()
 
 
-def beside_matrix_products(oracle: ModuleType, detector: SparseBayesianLearning, step: Measurement) -> Plain:
+def beside_matrix_products(detector: SparseBayesianLearning, step: Measurement) -> Plain:
     """Run one step in NumPy to its end."""
     problem, grid, config = plain_problem(detector, step), detector.region.grid_shape, detector.config
     limits = {key: getattr(config, key) for key in ("tolerance", "min_iterations", "max_iterations")}
-    learn = partial(oracle.learn, *problem, grid, config.sources)
+    learn = partial(ORACLE.learn, *problem, grid, config.sources)
     learn(max_iterations=1)
     seconds, learned = clock(partial(learn, **limits))
     own = sparse_spectrum(detector.dictionary.response, step, grid, config)
@@ -91,19 +85,17 @@ def beside_matrix_products(oracle: ModuleType, detector: SparseBayesianLearning,
     return Plain(seconds, learned.iterations, int(own.iterations), *peaks)
 
 
-def clock_outer_products(
-    oracle: ModuleType, detector: SparseBayesianLearning, step: Measurement, repeats: int
-) -> float:
+def clock_outer_products(detector: SparseBayesianLearning, step: Measurement, repeats: int) -> float:
     """Median seconds of an iteration with an M x M matrix for every column."""
     seconds: list[float] = []
 
     def sums(*arguments: NDArray) -> tuple[NDArray, NDArray]:
-        taken, result = clock(partial(oracle.outer_products, *arguments))
+        taken, result = clock(partial(ORACLE.outer_products, *arguments))
         seconds.append(taken)
         return result
 
     problem, grid = plain_problem(detector, step), detector.region.grid_shape
-    oracle.learn(*problem, grid, detector.config.sources, sums, max_iterations=repeats + 1)
+    ORACLE.learn(*problem, grid, detector.config.sources, sums, max_iterations=repeats + 1)
     return median(seconds[1:])
 
 

@@ -5,12 +5,12 @@ from statistics import fmean, median, quantiles
 
 import torch
 
-from torchdt.app.report.benchmark import Measured
+from benchmarks.clock import clock
+from benchmarks.report import Measured
 from torchdt.baselines.detect.points import Points
 from torchdt.baselines.mot.config import PointConfig
 from torchdt.baselines.mot.likelihood import GaussianPosition
 from torchdt.baselines.mot.tracker import PointTracker
-from torchdt.benchmark.clock import clock
 from torchdt.core.random import RandomStreams
 from torchdt.model.region import Coordinate, Region
 

@@ -1,27 +1,25 @@
 """Time of the update of one step, beside plain formulations of the same mathematics."""
 
-import math
 from collections.abc import Callable
 from functools import partial
 from operator import truediv
 from statistics import median
-from types import ModuleType
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchdt.app.report.benchmark import Measured
-from torchdt.benchmark.clock import SIZE, clock_in_turn
-from torchdt.benchmark.oracle import ORACLES, load_oracle
-from torchdt.benchmark.problem import random_problem
+from benchmarks.clock import SIZE, clock_in_turn
+from benchmarks.oracle import load_oracle
+from benchmarks.problem import random_problem
+from benchmarks.report import Measured
 from torchdt.core.trees import take_sequences
 from torchdt.filter.bp.schedule import Beliefs, update
 from torchdt.filter.state import Noise, Objects
 from torchdt.model.measurement import Measurement
 from torchdt.run.chunks import MOST_ON_CPU, plan, run_chunks
 
-ORACLE = ORACLES / "plain_bp.py"
+ORACLE = load_oracle("plain_bp")
 """The plain formulations."""
 
 VISITS = 3
@@ -77,12 +75,10 @@ def measure_update(
         "many": partial(run_chunks, some, chunks, workers),
         "product": partial(torch.matmul, square, square),
     }
-    oracle = load_oracle(ORACLE)
-    if oracle is not None:
-        plain = plain_problem(oracle, *one)
-        expected = oracle.update(plain, sweeps)
-        calls["plain"] = partial(oracle.update, plain, sweeps)
-        calls["cholesky"] = partial(factorise_particles, oracle, plain, expected)
+    plain = plain_problem(*one)
+    expected = ORACLE.update(plain, sweeps)
+    calls["plain"] = partial(ORACLE.update, plain, sweeps)
+    calls["cholesky"] = partial(factorise_particles, plain, expected)
     seconds = clock_in_turn(calls, repeats, device)
     seconds["many"] = [taken / batch for taken in seconds["many"]]
 
@@ -96,12 +92,9 @@ def measure_update(
     visits = sweeps * slots * tones
     visit = count_operations(particles, sensors, many[3].factor.shape[-1])
     rows += product_rows(visits * visit, seconds["many"], seconds["product"])
-    if oracle is None:
-        rows.append(("NumPy", math.nan, "ms/step", f"left out: there is no {ORACLE}"))
-    else:
-        seconds["cholesky"] = [taken * visits / min(VISITS, tones) for taken in seconds["cholesky"]]
-        rows += plain_rows(seconds, batch, visits)
-        rows += agreement_rows(run(*one), expected)
+    seconds["cholesky"] = [taken * visits / min(VISITS, tones) for taken in seconds["cholesky"]]
+    rows += plain_rows(seconds, batch, visits)
+    rows += agreement_rows(run(*one), expected)
     return [Measured("update", *row) for row in rows]
 
 
@@ -112,23 +105,21 @@ def quieten(
     return prior, response, noise, measurement._replace(factor=QUIET * measurement.factor)
 
 
-def plain_problem(
-    oracle: ModuleType, prior: Objects, response: Tensor, noise: Noise, measurement: Measurement
-) -> Any:
+def plain_problem(prior: Objects, response: Tensor, noise: Noise, measurement: Measurement) -> Any:
     """The arguments of an update of one sequence, for the plain formulations."""
     tensors = (
         *(prior.log_weight, prior.log_odds, prior.power, prior.log_power_weight),
         *(response, noise.variance, noise.log_weight, *measurement),
     )
-    return oracle.make_problem(*(tensor.cpu().numpy() for tensor in tensors))
+    return ORACLE.make_problem(*(tensor.cpu().numpy() for tensor in tensors))
 
 
-def factorise_particles(oracle: ModuleType, problem: Any, posterior: Any) -> None:
+def factorise_particles(problem: Any, posterior: Any) -> None:
     """Visit the first object in the first `VISITS` tones: one factorisation per particle, at one power."""
     for i, tone in enumerate(problem.tones[:VISITS]):
         eta = tone.variance.mean()
-        background = oracle.background(posterior.strength[1:, i], posterior.moment[i][1:], eta)
-        oracle.by_cholesky(background, tone.response[0], tone.power[0, :1], tone.factor, tone.J)
+        background = ORACLE.background(posterior.strength[1:, i], posterior.moment[i][1:], eta)
+        ORACLE.by_cholesky(background, tone.response[0], tone.power[0, :1], tone.factor, tone.J)
 
 
 def count_operations(particles: int, sensors: int, columns: int) -> int:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torchdt.app.report.benchmark import Measured
+from benchmarks.report import Measured
 from torchdt.app.report.figures import COLOURS, legend_outside
 
 EXPONENT = "exponent of "

@@ -1,7 +1,7 @@
 import pytest
 
-from torchdt.app.report.benchmark import Measured
-from torchdt.app.report.benchmark_figures import Curve, benchmark_figure, scaling_curves
+from benchmarks.figures import Curve, benchmark_figure, scaling_curves
+from benchmarks.report import Measured
 
 CURVES = [
     Measured("scaling", "tones = 2", 1.0, "ms"),

@@ -5,7 +5,7 @@ import pytest
 from oracles.line_array import make_tracker, simulate
 from oracles.scripts import SMALL
 
-from torchdt.benchmark import memory
+from benchmarks import memory
 from torchdt.data.recording import validate
 
 

@@ -7,9 +7,9 @@ from statistics import linear_regression, median
 
 import torch
 
-from torchdt.app.report.benchmark import Measured
-from torchdt.benchmark.clock import clock_in_turn
-from torchdt.benchmark.problem import random_problem
+from benchmarks.clock import clock_in_turn
+from benchmarks.problem import random_problem
+from benchmarks.report import Measured
 from torchdt.data.recording import Recording, validate
 from torchdt.filter.bp.schedule import update
 from torchdt.filter.direct import DirectTracker

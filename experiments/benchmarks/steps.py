@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchdt.app.report.benchmark import Measured
-from torchdt.benchmark.clock import clock_in_turn
+from benchmarks.clock import clock_in_turn
+from benchmarks.report import Measured
 from torchdt.core.errors import InputError
 from torchdt.core.random import RandomStreams
 from torchdt.data.recording import Recording

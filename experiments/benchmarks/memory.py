@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from torchdt.app.report.benchmark import Measured
+from benchmarks.report import Measured
 from torchdt.data.prepare import Prepared
 from torchdt.filter.tracker import Tracker
 

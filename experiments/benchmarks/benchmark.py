@@ -11,7 +11,17 @@ import torch
 from hydra import compose
 from omegaconf import DictConfig, OmegaConf
 
-from torchdt.app.benchmark_settings import BenchmarkSettings
+from benchmarks.clock import describe_machine
+from benchmarks.figures import benchmark_figure
+from benchmarks.memory import measure_growth, measure_run_memory
+from benchmarks.peers import measure_peers
+from benchmarks.points import measure_points
+from benchmarks.report import Measured, print_benchmark, write_benchmark
+from benchmarks.sbl import measure_sbl
+from benchmarks.scaling import measure_length_scaling, measure_update_scaling
+from benchmarks.settings import BenchmarkSettings
+from benchmarks.steps import measure_batch, measure_step
+from benchmarks.update import measure_update
 from torchdt.app.build import (
     build_recording,
     build_region,
@@ -20,22 +30,12 @@ from torchdt.app.build import (
     simulate,
 )
 from torchdt.app.claims import run_directory
-from torchdt.app.report.benchmark import Measured, print_benchmark, write_benchmark
-from torchdt.app.report.benchmark_figures import benchmark_figure
 from torchdt.app.report.console import plain_console
 from torchdt.app.report.files import manifest, write_json
 from torchdt.app.settings import TrackSettings, settings_of
 from torchdt.baselines.detect.config import SblConfig
 from torchdt.baselines.detect.sbl import SparseBayesianLearning
 from torchdt.baselines.two_step import TwoStepConfig
-from torchdt.benchmark.clock import describe_machine
-from torchdt.benchmark.memory import measure_growth, measure_run_memory
-from torchdt.benchmark.peers import measure_peers
-from torchdt.benchmark.points import measure_points
-from torchdt.benchmark.sbl import measure_sbl
-from torchdt.benchmark.scaling import measure_length_scaling, measure_update_scaling
-from torchdt.benchmark.steps import measure_batch, measure_step
-from torchdt.benchmark.update import measure_update
 from torchdt.core.errors import InputError, require
 from torchdt.data.prepare import prepare
 from torchdt.data.recording import Recording, validate
@@ -174,4 +174,4 @@ PARTS: dict[str, Callable[[BenchmarkSettings], list[Measured]]] = {
     "sbl": benchmark_sbl,
     "points": benchmark_points,
 }
-"""Parts by name: those of `torchdt.app.benchmark_settings`."""
+"""Parts by name: those of `benchmarks.settings`."""

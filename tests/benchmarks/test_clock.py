@@ -2,7 +2,7 @@ import time
 
 import torch
 
-from torchdt.benchmark.clock import clock, clock_in_turn, describe_machine
+from benchmarks.clock import clock, clock_in_turn, describe_machine
 
 
 def test_the_clock_returns_what_was_asked():

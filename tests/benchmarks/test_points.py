@@ -3,10 +3,10 @@ import math
 import pytest
 import torch
 
+from benchmarks.points import FALSE, OBJECTS, TIMED, WARM_UP, measure_points, simulate_points
 from torchdt.baselines.mot.config import PointConfig
 from torchdt.baselines.mot.likelihood import GaussianPosition
 from torchdt.baselines.mot.tracker import PointTracker
-from torchdt.benchmark.points import FALSE, OBJECTS, TIMED, WARM_UP, measure_points, simulate_points
 from torchdt.model.region import Coordinate, Region
 
 

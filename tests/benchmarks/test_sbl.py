@@ -1,14 +1,12 @@
 import math
-from pathlib import Path
-from unittest import mock
 
 import pytest
 import torch
 from oracles.line_array import make_field, make_region, simulate
 
+from benchmarks import sbl
 from torchdt.baselines.detect.config import SblConfig
 from torchdt.baselines.detect.sbl import SparseBayesianLearning
-from torchdt.benchmark import sbl
 from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.model.measurement import from_snapshots
 
@@ -57,16 +55,6 @@ def test_the_problem_is_told(rows):
 def test_memory_is_that_of_a_process_of_its_own(rows):
     detection, process = (rows[f"peak memory of {name}"].value for name in ("detection", "torchdt"))
     assert detection < process < 4096
-
-
-def test_without_a_checkout_the_comparison_is_left_out(problem):
-    absent = mock.patch.object(sbl, "ORACLE", Path("/nowhere/sparse_bayesian.py"))
-    with absent, mock.patch.object(sbl, "measure_memory", return_value=[]):
-        own, plain = sbl.measure_sbl(*problem, repeats=1)
-    assert (own.quantity, plain.quantity) == ("torchdt", "NumPy")
-    assert math.isfinite(own.value)
-    assert math.isnan(plain.value)
-    assert plain.note == "left out: there is no /nowhere/sparse_bayesian.py"
 
 
 def test_only_high_local_maxima_are_compared():

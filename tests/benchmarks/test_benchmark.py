@@ -1,22 +1,20 @@
 import csv
 import json
 import math
-from pathlib import Path
 from unittest import mock
 
 import pytest
 import torch
-from hydra import compose, initialize_config_module
+from hydra import compose
 from omegaconf import OmegaConf
 from oracles.scripts import SMALL as TRACKER_SMALL
-from oracles.scripts import call, load
+from oracles.scripts import call, configuration, load, track_settings
 from rich.console import Console
 
-from torchdt.app import benchmark
-from torchdt.app.benchmark_settings import PARTS as PART_NAMES
-from torchdt.app.benchmark_settings import BenchmarkSettings, ProblemSettings, ScalingSettings
-from torchdt.app.report.benchmark import Measured, Plain, plain_rows, print_benchmark
-from torchdt.benchmark import memory, sbl
+from benchmarks import benchmark, memory
+from benchmarks.report import Measured, Plain, plain_rows, print_benchmark
+from benchmarks.settings import PARTS as PART_NAMES
+from benchmarks.settings import BenchmarkSettings, ProblemSettings, ScalingSettings
 from torchdt.core.errors import InputError
 
 DATA = '"scenario=line_array","scenario.num_steps=5"'
@@ -60,7 +58,7 @@ def outcome(tmp_path_factory):
 
 
 def test_all_parts_are_measured_unless_told_otherwise():
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
+    with configuration():
         settings = OmegaConf.to_object(compose("benchmark"))
     assert settings.parts == list(benchmark.PARTS) == list(PART_NAMES)
     assert settings == BenchmarkSettings(
@@ -69,10 +67,10 @@ def test_all_parts_are_measured_unless_told_otherwise():
     assert (settings.repeats, settings.particles, settings.device) == (3, 10_000, "cpu")
 
 
-def test_the_default_data_are_of_the_papers_size(settings):
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
+def test_the_default_data_are_of_the_papers_size():
+    with configuration():
         overrides = compose("benchmark").overrides
-    track = settings("tracker=sbl_bp", *overrides, small=False)
+    track = track_settings("tracker=sbl_bp", *overrides, small=False)
     region, field = benchmark.build_region(track, torch.float32), track.field
     assert track.scenario.name == "matched_20"
     assert region.grid_shape == (200, 100)
@@ -133,16 +131,6 @@ def test_the_files_agree_and_say_what_the_machine_is(outcome):
     assert [{**row, "value": finite(row["value"])} for row in table] == content["rows"]
     assert (content["machine"]["torch"], content["machine"]["device"]) == (torch.__version__, "cpu")
     assert (directory / "manifest.json").exists()
-
-
-def test_without_a_checkout_the_comparison_is_left_out(tmp_path):
-    absent = mock.patch.object(sbl, "ORACLE", Path("/nowhere/sparse_bayesian.py"))
-    with absent, mock.patch.object(sbl, "measure_memory", return_value=[]):
-        _, out, _ = launch(tmp_path, "parts=[sbl]")
-    rows = json.loads((tmp_path / "benchmark.json").read_text())["rows"]
-    assert [row["quantity"] for row in rows] == ["torchdt", "NumPy"]
-    assert rows[1]["value"] is None
-    assert "left out" in out
 
 
 def test_ratios_and_peaks_of_the_plain_formulations():

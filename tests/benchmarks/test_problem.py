@@ -1,6 +1,6 @@
 import torch
 
-from torchdt.benchmark.problem import random_problem
+from benchmarks.problem import random_problem
 from torchdt.filter.bp.schedule import update
 
 SIZES = (3, 40, 2, 8, 4, 5, 6)
