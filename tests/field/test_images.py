@@ -65,8 +65,10 @@ def test_images_have_the_same_response(name):
     assert across is (name in ONE_SIDED)
 
 
-def coordinate(name: str, low: float, high: float, cell: float = 5.0) -> Coordinate:
-    return Coordinate(name, "deg", low, high, cell, -1.0, 1.0, 1e-3)
+def coordinate(
+    name: str, low: float, high: float, cell: float = 5.0, period: float | None = None
+) -> Coordinate:
+    return Coordinate(name, "deg", low, high, cell, -1.0, 1.0, 1e-3, period)
 
 
 AZIMUTH = coordinate("azimuth", 0, 360)
@@ -76,6 +78,9 @@ BOXES = {
     "line, front": (line, [coordinate("bearing", -90, 90)], True),
     "line, back": (line, [coordinate("bearing", 90, 270)], True),
     "one turn": (lambda: plane(GROUND, "bearing"), [coordinate("bearing", 0, 360)], True),
+    "a closed turn": (lambda: plane(GROUND, "bearing"), [coordinate("bearing", -180, 180, 5, 360)], True),
+    "line, a closed turn": (line, [coordinate("bearing", -180, 180, 5, 360)], False),
+    "line, front and its seam": (line, [coordinate("bearing", 90, 270, 5, 360)], True),
     "more than one turn": (lambda: plane(GROUND, "bearing"), [coordinate("bearing", -20, 360)], False),
     "above ground": (lambda: plane(GROUND, "azimuth_elevation"), [AZIMUTH, coordinate("up", 0, 90)], True),
     "below ground": (lambda: plane(GROUND, "azimuth_elevation"), [AZIMUTH, coordinate("up", -90, 0)], True),
@@ -135,6 +140,12 @@ def test_a_region_holds_one_of_both(name):
             else:
                 with pytest.raises(InputError, match="which the sensors cannot tell apart"):
                     build(one)
+
+
+def test_a_period_is_that_of_the_field():
+    box = Region([coordinate("bearing", 0, 90, 5, 180)], F64)
+    with pytest.raises(InputError, match=r"bearing\.period': found 180, expected one after which the field"):
+        box.within(plane(GROUND, "bearing"))
 
 
 def test_both_places_are_named():

@@ -117,3 +117,46 @@ def test_cells_of_all_coordinates_are_limited():
     fine = Coordinate("range", "m", 0.0, 1.0, 1e-4, -1.0, 1.0, 1.0)
     with pytest.raises(InputError, match="found 100000000 cells, expected at most 10000000"):
         Region([fine, replace(fine, name="depth")])
+
+
+AZIMUTH = Coordinate("azimuth", "deg", -180.0, 180.0, 5.0, -1.0, 1.0, 1e-3, period=360.0)
+
+
+def test_a_region_of_a_whole_period_has_no_ends():
+    region = Region([AZIMUTH, DEPTH], torch.float64)
+    states = torch.tensor([[190.0, 7.0, 9.0, 9.0], [-999.0, 7.0, 0, 0], [190.0, 12.0, 0, 0]])
+    assert region.contains(states).tolist() == [True, True, False]
+    assert region.wrap(states).tolist() == [[-170, 7, 9, 9], [81, 7, 0, 0], [-170, 12, 0, 0]]
+    ends = [[-math.inf, 5.0], [math.inf, 11.0]]
+    assert [region.lower_end.tolist(), region.upper_end.tolist()] == ends
+    assert region.difference(*torch.tensor([[179.0, 6.0], [-179.0, 10.0]])).tolist() == [-2.0, -4.0]
+
+
+def test_a_sector_across_the_seam_has_ends():
+    """From 150 to 230 degrees, whatever turn a position is given on."""
+    region = Region([replace(AZIMUTH, low=150.0, high=230.0)], torch.float64)
+    states = torch.tensor([[-170.0], [160.0 + 720], [140.0], [-129.0]])
+    assert region.contains(states).tolist() == [True, True, False, False]
+    assert region.wrap(states)[:2].tolist() == [[190.0], [160.0]]
+
+
+def test_particles_of_a_cloud_are_gathered_with_their_rates():
+    region = Region([AZIMUTH], torch.float64)
+    state = torch.tensor([[[179.0, 1.0], [-177.0, 2.0]]], dtype=torch.float64)
+    log_weight = torch.full((1, 2), -math.log(2.0), dtype=torch.float64)
+    gathered = region.gather(state, log_weight)
+    assert gathered.mean(-2).tolist() == [[-179.0, 1.5]]
+    assert gathered[0, :, 0].diff().item() == 4.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"period": 300.0}, "expected at least the region's width, 360.0, or null"),
+        ({"period": -1.0}, "expected a positive number"),
+        ({"period": math.nan}, "expected a positive number"),
+    ],
+)
+def test_wrong_periods_are_named(change, message):
+    with pytest.raises(InputError, match=f"key 'scenario.coordinates.azimuth.period': found .*{message}"):
+        replace(AZIMUTH, **change)

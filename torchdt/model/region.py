@@ -9,9 +9,11 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torchdt.core.errors import InputError, require
+from torchdt.core import period
+from torchdt.core.errors import require
 from torchdt.core.ranges import Finite, Positive, check
 from torchdt.field.base import BaseField, Field, as_field, of_each
+from torchdt.model.ambiguity import refuse_images, refuse_other_periods
 
 MOST_CELLS = 10_000_000
 """Of a region: what their centres take is a small part of a machine's memory."""
@@ -28,9 +30,11 @@ class Coordinate:
         cell: edge of a birth cell, in units; the region holds a whole number of cells.
         rate_low, rate_high: rates of newborn objects are uniform between these.
         driving_variance: variance of the acceleration-like driving noise, (unit / s^2)^2.
+        period: of a coordinate that goes round, in units: x and x + period are the same place, such as 360
+            for an azimuth in degrees. A region of a whole period has no ends. None: the coordinate is a line.
 
     Raises:
-        InputError: where a number is not finite, or the limits leave nothing.
+        InputError: where a number is not finite, the limits leave nothing, or more than one period.
     """
 
     name: str
@@ -41,6 +45,7 @@ class Coordinate:
     rate_low: Finite
     rate_high: Finite
     driving_variance: Positive
+    period: Positive | None = None
 
     def __post_init__(self) -> None:
         key = f"scenario.coordinates.{self.name}"
@@ -50,6 +55,9 @@ class Coordinate:
             require(low < high, f"{key}.{name}", low, f"a number below {other}, {high}")
         width = self.high - self.low
         require(self.cell <= width, f"{key}.cell", self.cell, f"at most the region's width, {width}")
+        if self.period is not None:
+            most = f"at least the region's width, {width}, or null"
+            require(self.is_closed or self.period > width, f"{key}.period", self.period, most)
         finest = width / MOST_CELLS
         require(
             self.cell >= finest, f"{key}.cell", self.cell, f"at least {finest:.3g}, a region of fewer cells"
@@ -60,9 +68,17 @@ class Coordinate:
         """Number of birth cells along this coordinate."""
         return max(1, round((self.high - self.low) / self.cell))
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether the region goes all the way round, without ends."""
+        return self.period is not None and math.isclose(self.period, self.high - self.low, rel_tol=1e-6)
+
 
 class Region:
     """Support of the object states: a box in position, or what a field leaves of it; all rates.
+
+    Of a coordinate with a period, all values that are whole turns apart are one place, and any of them may
+    stand for it: particles go on where they are, and only what is reported is wrapped.
 
     Args:
         coordinates: the d position coordinates, slowest-varying grid axis first.
@@ -70,6 +86,12 @@ class Region:
         inside: where in the box there can be objects, `(*batch, D)` states to `(*batch,)` bool; None is
             everywhere, or where the field says.
         field: what else limits the box, see `within`.
+
+    Attributes:
+        low, high: `(d,)` corners of the box.
+        lower_end, upper_end: `(d,)` what no position passes: the corners, but infinite where the region goes
+            all the way round.
+        period: `(d,)`, infinite for a coordinate that does not go round.
 
     Raises:
         InputError: where there is no coordinate, or there can be objects in none of the birth cells.
@@ -94,6 +116,12 @@ class Region:
         self.rate_low = vector([c.rate_low for c in self.coordinates])
         self.rate_high = vector([c.rate_high for c in self.coordinates])
         self.driving_variance = vector([c.driving_variance for c in self.coordinates])
+        round_trip = [math.inf if c.period is None else c.period for c in self.coordinates]
+        closed = torch.tensor([c.is_closed for c in self.coordinates], device=device)
+        self.period = torch.where(closed, self.high - self.low, vector(round_trip))
+        self.lower_end = self.low.masked_fill(closed, -torch.inf)
+        self.upper_end = self.high.masked_fill(closed, torch.inf)
+        self.has_period = any(c.period is not None for c in self.coordinates)
         self.grid_shape = tuple(c.num_cells for c in self.coordinates)
         self.cell = (self.high - self.low) / vector([float(n) for n in self.grid_shape])
         if field is not None:
@@ -110,13 +138,15 @@ class Region:
 
         Raises:
             InputError: where the field has states of other coordinates, leaves nothing, leaves other cells to
-                one sequence than to another, or cannot tell some states of the region from others.
+                one sequence than to another, cannot tell some states of the region from others, or does not
+                repeat itself with the region's periods.
         """
         field = as_field(field)
         found, expected = f"{self.num_coordinates} coordinates", f"{field.num_coordinates}, as the field"
         require(self.num_coordinates == field.num_coordinates, "scenario.coordinates", found, expected)
         left = Region(self.coordinates, self.low.dtype, self.low.device, field=field)
-        left._refuse_images(field)
+        refuse_images(left, field)
+        refuse_other_periods(left, field)
         return left
 
     def select(self, sequences: slice | Sequence[int]) -> "Region":
@@ -127,23 +157,6 @@ class Region:
         other = copy.copy(self)
         other._field, other._inside = field, None if self._inside is None else field.inside
         return other
-
-    def _refuse_images(self, field: BaseField) -> None:
-        """Refuse a box that holds states and, more than a cell away, others of the same response."""
-        if self.low.is_meta:  # no numbers to compare
-            return
-        centres = of_each(field, self.cell_centres()[self.is_birth_cell])
-        for image in field.images(self.complete(centres)):
-            apart = ((image - centres).abs() > 1.01 * self.cell).any(-1)
-            twins = (apart & self.contains(image)).nonzero()
-            if len(twins):
-                here, there = (self._in_words(position[tuple(twins[0])]) for position in (centres, image))
-                found = f"a region that holds both {here} and {there}, which the sensors cannot tell apart"
-                raise InputError.of_key("scenario.coordinates", found, "one that holds only one of the two")
-
-    def _in_words(self, position: Tensor) -> str:
-        values = zip(self.coordinates, position.tolist(), strict=True)
-        return ", ".join(f"{c.name} {value:.4g} {c.unit}" for c, value in values)
 
     @property
     def num_coordinates(self) -> int:
@@ -197,10 +210,41 @@ class Region:
 
     def contains(self, state: Tensor) -> Tensor:
         """Whether positions lie in the region, `(*batch, D)` to `(*batch,)` bool."""
+        state = self.wrap(state)
         position = state[..., : self.num_coordinates]
-        holds = ((position >= self.low) & (position <= self.high)).all(-1)
+        holds = ((position >= self.lower_end) & (position <= self.upper_end)).all(-1)
         allowed = self._allowed(state)
         return holds if allowed is None else holds & allowed
+
+    def wrap(self, state: Tensor) -> Tensor:
+        """Positions or states `(*batch, D)` at the same places, within one period from the lower corner."""
+        return self._moved(state, lambda position: period.wrap(position, self.low, self.period))
+
+    def difference(self, position: Tensor, other: Tensor) -> Tensor:
+        """`position - other` the shortest way round, `(*batch, d)`."""
+        difference = position - other
+        return period.shortest(difference, self.period) if self.has_period else difference
+
+    def nearest(self, position: Tensor, centre: Tensor) -> Tensor:
+        """Positions or states `(*batch, D)` at the same places, where these are closest to `(*batch, d)`."""
+        return self._moved(position, lambda p: period.nearest(p, centre, self.period))
+
+    def gather(self, state: Tensor, log_weight: Tensor) -> Tensor:
+        """Particles `(*batch, P, D)` at the same places, without a seam in between, see `period.gather`.
+
+        Moments of the result are those of the cloud, and its mean is what `wrap` leaves as it is.
+
+        Args:
+            state: `(*batch, P, D)`.
+            log_weight: `(*batch, P)` normalised.
+        """
+        return self._moved(state, lambda p: period.gather(p, log_weight, self.low, self.period))
+
+    def _moved(self, state: Tensor, move: Callable[[Tensor], Tensor]) -> Tensor:
+        if not self.has_period:
+            return state
+        position, rest = state.tensor_split([self.num_coordinates], -1)
+        return torch.cat([move(position), rest], -1)
 
     def _allowed(self, state: Tensor) -> Tensor | None:
         return None if self._inside is None else self._inside(self.complete(state))
