@@ -1,12 +1,13 @@
 """Jobs of these scripts: the package's, and those of the folders beside this file, which no wheel holds.
 
-Their configuration is in `conf/`, beside that of the package; a job of the package finds it, too.
+Their configuration is in `conf/`, beside that of the package; jobs of the package find it, too.
 """
 
 import os
 from collections.abc import Callable
 from pathlib import Path
 
+import recordings.tart_recording  # noqa: F401 - a kind of data, for all jobs
 from torchdt.app import job as jobs
 
 FOLDER = Path(__file__).parent

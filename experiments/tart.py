@@ -1,8 +1,8 @@
 """Track satellites over a TART radio array: `python experiments/tart.py data.path=FILE`."""
 
-from torchdt.app.job import job
+from laboratory import job
 
-main = job("tart")
+main = job("tart", "recordings")
 
 if __name__ == "__main__":
     main()

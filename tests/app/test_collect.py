@@ -10,11 +10,11 @@ import torch
 from oracles.scripts import SMALL, call, load
 from scipy.stats import t as student
 
+from recordings.tart_score import SkyScore
 from torchdt.app import collect
 from torchdt.app.collect import choose, differing, find_directories, gather, main, summarise
 from torchdt.app.report.collect import Row, interval_figure
 from torchdt.app.report.collect_runs import Run
-from torchdt.metrics.tart import SkyScore
 
 QUIET = ("scenario=line_array", "scenario.num_steps=5", "logging=quiet")
 SIZE = (*QUIET, *SMALL)

@@ -7,8 +7,8 @@ from functools import partial
 import pytest
 import torch
 import yaml
-from hydra import compose, initialize_config_module
-from oracles.scripts import SMALL, call, load
+from hydra import compose
+from oracles.scripts import SMALL, call, configuration, load
 from oracles.tart import sky, write_sky
 
 from torchdt.app.build import build_recording, simulate
@@ -28,7 +28,7 @@ SHORT = (
 
 
 def settings(job, *overrides):
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
+    with configuration():
         return settings_of(compose(job, overrides=["scenario=line_array", *SMALL, *overrides]))
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from recordings.tart_file import read_tart
 from torchdt.app.resume import fingerprint_of
 from torchdt.app.settings import TrackSettings
 from torchdt.core.errors import InputError
@@ -14,7 +15,6 @@ from torchdt.data.npz import read_npz
 from torchdt.data.signals.readers import open_npy, open_wav
 from torchdt.data.signals.sio import open_sio
 from torchdt.data.signals.truth import read_truth
-from torchdt.data.tart import read_tart
 
 NOT_UTF8 = os.fsdecode(b"array\xff")
 

@@ -1,5 +1,6 @@
 """Objects from settings: fields, recordings, trackers."""
 
+import functools
 import logging
 import math
 from collections.abc import Sequence
@@ -10,12 +11,11 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import pad
 
-from torchdt.app.data_settings import SignalSettings, TartSettings
+from torchdt.app.data_settings import DataSettings, SignalSettings
 from torchdt.app.environment import calibrated_field
 from torchdt.app.fields import build_field
 from torchdt.app.settings import TrackSettings
 from torchdt.app.signals import read_signals
-from torchdt.app.tart_recording import read_sky
 from torchdt.baselines.two_step import TwoStepConfig, TwoStepTracker
 from torchdt.core.errors import InputError, require
 from torchdt.core.memory import require_memory
@@ -42,14 +42,7 @@ def build_recording(settings: TrackSettings) -> Recording:
     Raises:
         InputError: where a file or the scenario does not make sense.
     """
-    if settings.data.kind == "simulated":
-        recording = simulate(settings)
-    elif isinstance(settings.data, SignalSettings):
-        recording = read_signals(settings, settings.data)
-    elif isinstance(settings.data, TartSettings):
-        recording = read_sky(settings, settings.data)
-    else:
-        recording = read_recordings(settings.data.paths)
+    recording = read_data(settings.data, settings)
     size = recording.batch_size, recording.num_steps, recording.num_tones, recording.num_sensors
     log.info("%s: sequences %d, steps %d, tones %d, sensors %d", recording.name or "recording", *size)
     summary = recording.missing_summary()
@@ -61,6 +54,15 @@ def build_recording(settings: TrackSettings) -> Recording:
             [dead.nonzero().flatten().tolist() for dead in summary.dead_channels],
         )
     return recording
+
+
+@functools.singledispatch
+def read_data(data: DataSettings, settings: TrackSettings) -> Recording:
+    """Read or simulate data of one type of settings; `read_data.register` adds the reader of another."""
+    return simulate(settings) if data.kind == "simulated" else read_recordings(data.paths)
+
+
+read_data.register(SignalSettings, read_signals)
 
 
 def read_recordings(paths: Sequence[str]) -> Recording:

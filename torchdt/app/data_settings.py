@@ -13,7 +13,6 @@ from torchdt.core.ranges import (
     NotNegative,
     OneOf,
     Positive,
-    Range,
     StepIndex,
     Steps,
 )
@@ -102,22 +101,3 @@ class SignalSettings(DataSettings):
     truth_path: str | None = None
     truth_depth_m: Finite | None = None
     static_copy: StaticCopySettings = dataclasses.field(default_factory=StaticCopySettings)
-
-
-@dataclass
-class TartSettings(DataSettings):
-    """Visibilities of a TART radio array, see `torchdt.data.tart`.
-
-    Attributes:
-        kind: `tart`.
-        path: of one file.
-        average: consecutive covariances that make one step.
-        standing: take out what stands still and is no sky, see `torchdt.data.tart_standing`.
-        effective_count: snapshots that a covariance counts as; None takes it from the misfit of point
-            sources, see `torchdt.data.tart_count`.
-    """
-
-    kind: Annotated[str, OneOf(("tart",))] = "tart"
-    average: Count = 10
-    standing: bool = True
-    effective_count: Annotated[float, Range("a number from one up", low=1)] | None = None

@@ -8,7 +8,7 @@ import torch
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
-from torchdt.app.data_settings import DataSettings, SignalSettings, TartSettings
+from torchdt.app.data_settings import DataSettings, SignalSettings
 from torchdt.baselines.detect.config import PursuitConfig, SblConfig
 from torchdt.baselines.two_step import TwoStepConfig
 from torchdt.calibration.environment import CalibrationConfig
@@ -144,7 +144,6 @@ def _refuse_unknown(config: DictConfig, prefix: str) -> None:
 _store = ConfigStore.instance()
 _store.store(name="track_schema", node=TrackSettings)
 _store.store(name="signal_schema", node=SignalSettings)
-_store.store(name="tart_schema", node=TartSettings)
 _store.store(name="direct_schema", node=TrackerConfig)
 _store.store(name="mp_bp_schema", node=TwoStepConfig(detector=PursuitConfig()))
 _store.store(name="sbl_bp_schema", node=TwoStepConfig(detector=SblConfig()))

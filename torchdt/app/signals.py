@@ -23,7 +23,7 @@ from torchdt.simulation.simulate import position_along
 READERS = {"wav": open_wav, "npy": open_npy, "sio": open_sio}
 
 
-def read_signals(settings: TrackSettings, data: SignalSettings) -> Recording:
+def read_signals(data: SignalSettings, settings: TrackSettings) -> Recording:
     """Snapshots of the field's tones from one file of signals, and the truth from another.
 
     Raises:

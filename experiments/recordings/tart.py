@@ -9,9 +9,12 @@ import torch
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig
 
+from recordings.tart_file import LOWEST
+from recordings.tart_recording import TartSettings
+from recordings.tart_report import print_sky, sky_figure, write_sky_csv
+from recordings.tart_score import SkyScore, sky_gospa, sky_score
 from torchdt.app.build import build_recording, build_tracker, build_tracking_field
 from torchdt.app.claims import run_directory
-from torchdt.app.data_settings import TartSettings
 from torchdt.app.parallel import set_threads, track_in_chunks
 from torchdt.app.progress import track_progress
 from torchdt.app.report.console import plain_console
@@ -23,15 +26,12 @@ from torchdt.app.report.files import (
     write_json,
     write_tracks_csv,
 )
-from torchdt.app.report.tart import print_sky, sky_figure, write_sky_csv
 from torchdt.app.settings import TrackSettings, settings_of
 from torchdt.baselines.detect.points import Points
 from torchdt.baselines.two_step import TwoStepConfig, TwoStepTracker
 from torchdt.core.errors import require
 from torchdt.data.recording import Recording
-from torchdt.data.tart import LOWEST
 from torchdt.filter.history import TrackHistory
-from torchdt.metrics.tart import SkyScore, sky_gospa, sky_score
 
 log = logging.getLogger(__name__)
 

@@ -1,24 +1,7 @@
 import torch
+from oracles.tart import SIZE, scene
 
-from torchdt.data.tart_standing import standing_covariance, without_standing
-from torchdt.field.plane_wave import PlaneWaveField
-from torchdt.model.region import Coordinate, Region
-
-SIZE = 10
-
-
-def scene(standing):
-    """Field, region, and covariances `(4, M, M)` of two sources at centres of cells, one of which moves."""
-    stream = torch.Generator().manual_seed(0)
-    place = torch.rand(SIZE, 3, generator=stream, dtype=torch.float64) * torch.tensor([1.0, 1.0, 0.0])
-    field = PlaneWaveField([1.5e9], place.tolist(), 3e8, "direction_cosines", dtype=torch.float64)
-    coordinates = [Coordinate(name, "cos", -1, 1, 0.1, -1, 1, 1.0) for name in ("east", "north")]
-    region = Region(coordinates, torch.float64).within(field)
-    still, moving = torch.tensor([0.35, 0.15]), torch.tensor([[-0.55, 0.05 + 0.1 * k] for k in range(4)])
-    position = torch.stack([still.expand(4, 2), moving], 1).double()
-    wave = SIZE**0.5 * field(position)[..., 0, :].mT
-    sky = wave @ (torch.tensor([0.3, 0.2], dtype=torch.float64)[:, None] * wave.mH)
-    return field, region, sky + 0.5 * torch.eye(SIZE) + standing
+from recordings.tart_standing import standing_covariance, without_standing
 
 
 def crosstalk(scale):

@@ -3,8 +3,8 @@ import pytest
 import torch
 from oracles.tart import sky, write_sky
 
+from recordings.tart_file import read_tart
 from torchdt.core.errors import InputError
-from torchdt.data.tart import read_tart
 
 
 def test_covariance_is_that_of_plane_waves(tmp_path):

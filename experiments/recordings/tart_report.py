@@ -12,10 +12,10 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
+from recordings.tart_score import CLOSE, SkyScore
 from torchdt.app.report.figures import COLOURS, MARKERS, to_array
 from torchdt.core.atomic import atomic_write
 from torchdt.filter.history import TrackHistory
-from torchdt.metrics.tart import CLOSE, SkyScore
 
 
 def print_sky(console: Console, scores: Mapping[str, SkyScore], title: str) -> None:

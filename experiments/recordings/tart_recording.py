@@ -1,19 +1,24 @@
-"""Recordings of a TART radio array as settings describe them."""
+"""Recordings of a TART radio array as settings describe them: `data=tart` of all jobs started here."""
 
 import dataclasses
 import logging
+from dataclasses import dataclass
+from typing import Annotated
 
 import torch
+from hydra.core.config_store import ConfigStore
 
-from torchdt.app.data_settings import TartSettings
+from recordings.tart_count import effective_count
+from recordings.tart_file import read_tart
+from recordings.tart_standing import standing_covariance, without_standing
+from torchdt.app.build import read_data
+from torchdt.app.data_settings import DataSettings
 from torchdt.app.fields import build_field
 from torchdt.app.settings import TrackSettings
 from torchdt.baselines.detect.config import PursuitConfig
 from torchdt.baselines.detect.pursuit import MatchingPursuit
+from torchdt.core.ranges import Count, OneOf, Range
 from torchdt.data.recording import Recording
-from torchdt.data.tart import read_tart
-from torchdt.data.tart_count import effective_count
-from torchdt.data.tart_standing import standing_covariance, without_standing
 from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.model.region import Coordinate, Region
 
@@ -26,7 +31,30 @@ COUNTED = 42
 """Steps from which the count is taken, at most, evenly spread."""
 
 
-def read_sky(settings: TrackSettings, data: TartSettings) -> Recording:
+@dataclass
+class TartSettings(DataSettings):
+    """Visibilities of a TART radio array, see `recordings.tart_file`.
+
+    Attributes:
+        kind: `tart`.
+        path: of one file.
+        average: consecutive covariances that make one step.
+        standing: take out what stands still and is no sky, see `recordings.tart_standing`.
+        effective_count: snapshots that a covariance counts as; None takes it from the misfit of point
+            sources, see `recordings.tart_count`.
+    """
+
+    kind: Annotated[str, OneOf(("tart",))] = "tart"
+    average: Count = 10
+    standing: bool = True
+    effective_count: Annotated[float, Range("a number from one up", low=1)] | None = None
+
+
+ConfigStore.instance().store(name="tart_schema", node=TartSettings)
+
+
+@read_data.register
+def read_sky(data: TartSettings, settings: TrackSettings) -> Recording:
     """One file, less its standing part where that is asked for, with its effective number of snapshots.
 
     Raises:

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from torchdt.metrics.tart import sky_gospa, sky_score, towards
+from recordings.tart_score import sky_gospa, sky_score, towards
 
 
 def at(zenith, azimuth=0.0):

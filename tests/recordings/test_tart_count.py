@@ -1,9 +1,9 @@
 import torch
-from data.test_tart_standing import SIZE, scene
+from oracles.tart import SIZE, scene
 
+from recordings.tart_count import effective_count
 from torchdt.baselines.detect.config import PursuitConfig
 from torchdt.baselines.detect.pursuit import MatchingPursuit
-from torchdt.data.tart_count import effective_count
 from torchdt.filter.proposal.dictionary import build_dictionary
 
 STEPS = 400
