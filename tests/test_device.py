@@ -28,7 +28,7 @@ from torchdt.filter.tracker import Tracker
 from torchdt.metrics import gospa
 from torchdt.metrics.delays import track_delays
 from torchdt.model.measurement import from_snapshots
-from torchdt.model.parameters import Parameters, default_parameters
+from torchdt.model.model import Model
 from torchdt.model.prior import data_priors
 from torchdt.run.track import track
 
@@ -184,9 +184,9 @@ def test_defaults_of_pytorch_have_no_part_in_the_likelihood_and_its_gradient(in_
 
     def differentiate() -> tuple[Tensor, ...]:
         region = make_water(dtype)
-        values = default_parameters(config, region).known()
-        parameters = Parameters(**{name: value.requires_grad_() for name, value in values.items()})
-        tracker = DirectTracker(field, region, 1.0, config, parameters)
+        model = Model().on(region)
+        values = {name: value.requires_grad_() for name, value in model.known().items()}
+        tracker = DirectTracker(field, region, 1.0, config, model.with_numbers(values))
         streams = RandomStreams.from_seeds([1, 2], (2,), dtype)
         priors, blocks = data_priors(measurement), {"block": 2, "truncate": 3}
         evidence = log_likelihood(tracker, measurement, priors, streams, **blocks)

@@ -13,9 +13,9 @@ from torchdt.field.plane_wave import LineArrayField
 from torchdt.field.stacked import StackedField
 from torchdt.filter.bp.moments import response_moment, signal_covariance, signal_without_each
 from torchdt.filter.bp.rank_one import Whitener, log_likelihood_ratio, peak_log_likelihood_ratio, statistics
-from torchdt.filter.config import TrackerConfig
 from torchdt.filter.proposal.dictionary import build_dictionary
-from torchdt.model.birth import birth_log_odds, log_no_birth
+from torchdt.model.birth import UniformBirth
+from torchdt.model.existence import drop_outside, predict_log_odds
 from torchdt.model.gamma_chain import (
     predict_chain,
     predicted_uniform_prior,
@@ -23,13 +23,8 @@ from torchdt.model.gamma_chain import (
     uniform_prior_around,
 )
 from torchdt.model.measurement import from_snapshots
-from torchdt.model.motion.constant_velocity import (
-    drop_outside,
-    predict_log_odds,
-    predict_moments,
-    predict_state,
-)
-from torchdt.model.parameters import default_parameters
+from torchdt.model.model import Model
+from torchdt.model.motion.constant_velocity import ConstantVelocity, predict_moments, predict_state
 from torchdt.model.prior import data_priors
 
 META = torch.device("meta")
@@ -66,8 +61,8 @@ def test_region_and_dictionary(dtype):
     state = torch.empty(7, 4, dtype=dtype, device=META)
     dictionary = build_dictionary(make_field(dtype, "meta"), region)
     assert region.num_cells == 16 * 15
-    parameters = default_parameters(TrackerConfig(driving_variance=[1.0, 2.0]), region)
-    assert_kind((dictionary, parameters), dtype, "meta")
+    model = Model(motion=ConstantVelocity([1.0, 2.0])).on(region)
+    assert_kind((dictionary, tuple(model.known().values())), dtype, "meta")
     assert_meta(
         {
             (2,): (region.low, region.high, region.rate_low, region.rate_high, region.cell),
@@ -106,13 +101,14 @@ def test_predictions(dtype):
         return torch.empty(shape, dtype=dtype, device=META)
 
     num_considered = torch.empty(3, dtype=torch.int64, device=META)
+    birth, region = UniformBirth(blank(3)), make_region(dtype, "meta")
     moments = predict_moments(blank(3, 4), blank(3, 4, 4), 2.0, blank(3, 2))
     assert_meta(
         {
             (3, 5, 4): predict_state(blank(3, 5, 4), blank(3, 5, 2), 2.0),
             (3, 4): moments[0],
             (3, 4, 4): moments[1],
-            (3,): (birth_log_odds(blank(3), 240), log_no_birth(blank(3), 240, num_considered)),
+            (3,): (birth.log_odds(region), birth.log_none(region, num_considered)),
             (3, 6): (predict_log_odds(blank(3, 6), 0.9), predict_log_odds(blank(3, 6), blank(3, 1))),
             (3, 6, 9): predict_chain(blank(3, 6, 9), blank(3, 6, 9), 1e4),
         },

@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from torchdt.core.random import RandomStreams
-from torchdt.filter.state import Noise, Objects
+from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement, from_snapshots
+from torchdt.model.noise.base import Noise
 
 NOISE_VARIANCE = 0.05
 """Of each tone, beside powers around one."""

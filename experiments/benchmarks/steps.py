@@ -16,17 +16,17 @@ from torchdt.core.errors import InputError
 from torchdt.core.random import RandomStreams
 from torchdt.data.recording import Recording
 from torchdt.filter.bp.moments import response_moment, signal_covariance
-from torchdt.filter.bp.noise import update_noise
 from torchdt.filter.bp.schedule import update
 from torchdt.filter.declare import conclude, resample_particles
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.placement import Placer
 from torchdt.filter.proposal.moved import respond
 from torchdt.filter.proposal.newborn import propose_newborn, search
-from torchdt.filter.state import Noise, Objects, TrackerState
-from torchdt.model.birth import birth_log_odds
+from torchdt.filter.state import Objects, TrackerState
 from torchdt.model.measurement import Measurement
-from torchdt.model.parameters import Parameters, widen
+from torchdt.model.noise.base import Noise
+from torchdt.model.noise.white import update_noise
+from torchdt.model.part import widen
 from torchdt.model.prior import Priors
 from torchdt.run.track import track
 
@@ -96,9 +96,9 @@ def forward_parts(
     """
     cfg, field, region, noise = tracker.config, tracker.field, tracker.region, state.noise
     draws = tracker.draw(streams)
-    tempered = measurement.tempered(widen(tracker.parameters.likelihood_power, 1))
-    born = birth_log_odds(tracker.parameters.birth_mean, region.num_cells)
-    placer = Placer(field, region, tracker.dictionary, cfg, born)
+    tempered = measurement.tempered(widen(tracker.model.likelihood_power, 1))
+    born = tracker.model.birth.log_odds(region)
+    placer = Placer(field, region, tracker.dictionary, cfg, tracker.model, born)
     adapted = cfg.proposal == "adapted"
 
     predicted = tracker.predict(state, draws.driving)
@@ -133,7 +133,8 @@ def forward_parts(
     picks, explained = look(nothing, noise, torch.full_like(occupied, cfg.slots))
     if picks is None:
         raise InputError.of_key("overrides", "a step in which nothing is found", "data with a source")
-    found = (picks, explained, priors.power_max, cfg.power_points, born, draws.newborn)
+    model = tracker.model
+    found = (picks, explained, priors.power_max, model, cfg.power_points, born, draws.newborn)
 
     particles, log_weight = placed.objects.state, beliefs.objects.log_weight
     roughening = (streams.uniform(log_weight.shape[-2]), streams.normal(*particles.shape[-3:]))
@@ -178,13 +179,15 @@ def gradient_parts(
     """A step in the middle of a sequence whose likelihood is differentiated; see `forward_parts`.
 
     The gradient comes in through the evidence and through what the step leaves to the next one, and goes out
-    to the parameters and to what the step was given.
+    to the numbers of the model and to what the step was given.
     """
-    leaves = {name: _leaf(value) for name, value in tracker.parameters.known().items()}
+    leaves = {name: _leaf(value) for name, value in tracker.model.known().items()}
     given = TrackerState(
         Objects(*(_leaf(t) for t in state.objects)), Noise(*(_leaf(t) for t in state.noise)), state.next_label
     )
-    forward = partial(tracker.with_parameters(Parameters(**leaves)).step, given, measurement, priors, streams)
+    forward = partial(
+        tracker.with_model(tracker.model.with_numbers(leaves)).step, given, measurement, priors, streams
+    )
     left, estimate = forward()
     outputs = [t for t in (*left.objects, *left.noise, estimate.log_evidence) if t.requires_grad]
     inputs = [t for t in (*leaves.values(), *given.objects, *given.noise) if t.requires_grad]

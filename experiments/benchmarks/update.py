@@ -15,8 +15,9 @@ from benchmarks.problem import random_problem
 from benchmarks.report import Measured
 from torchdt.core.trees import take_sequences
 from torchdt.filter.bp.schedule import Beliefs, update
-from torchdt.filter.state import Noise, Objects
+from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement
+from torchdt.model.noise.base import Noise
 from torchdt.run.chunks import MOST_ON_CPU, plan, run_chunks
 
 ORACLE = load_oracle("plain_bp")

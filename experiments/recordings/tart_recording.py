@@ -13,8 +13,8 @@ from recordings.tart_file import read_tart
 from recordings.tart_standing import standing_covariance, without_standing
 from torchdt.app.build import read_data
 from torchdt.app.data_settings import DataSettings
-from torchdt.app.fields import build_field
 from torchdt.app.settings import TrackSettings
+from torchdt.app.targets import build_field
 from torchdt.baselines.detect.config import PursuitConfig
 from torchdt.baselines.detect.pursuit import MatchingPursuit
 from torchdt.core.ranges import Count, OneOf, Range

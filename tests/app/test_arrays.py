@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from torchdt.app.build import build_recording, build_tracker
-from torchdt.app.fields import build_field
+from torchdt.app.targets import build_field
 from torchdt.data.npz import write_npz
 
 SIZE = (

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from torchdt.app.build import build_recording, build_tracker, build_tracking_field
-from torchdt.app.fields import build_field
+from torchdt.app.targets import build_field
 from torchdt.field.stacked import StackedField
 
 TINY = (

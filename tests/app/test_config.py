@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from torchdt.app.build import simulate
-from torchdt.app.fields import build_field
+from torchdt.app.targets import build_field
 from torchdt.simulation.simulate import source_track
 
 

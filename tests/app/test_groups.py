@@ -11,7 +11,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from oracles.scripts import CONF, SMALL, configuration, configured
 
-from torchdt.app import fields
+from torchdt.app import targets
 from torchdt.app.build import build_region, build_tracker, simulate
 from torchdt.app.claims import DirectoryClaims
 from torchdt.app.settings import settings_of
@@ -45,7 +45,7 @@ def build():
     def build(target):
         key = json.dumps(target)
         if key not in known:
-            known[key] = fields.build_field(target, torch.float64, "cpu")
+            known[key] = targets.build_field(target, torch.float64, "cpu")
         return known[key]
 
     return build

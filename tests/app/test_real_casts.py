@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from torchdt.app.build import build_tracker
-from torchdt.app.fields import build_field
+from torchdt.app.targets import build_field
 from torchdt.app.track import score_history
 from torchdt.data.recording import validate
 from torchdt.field.build import EnvironmentDraw

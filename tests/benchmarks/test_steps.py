@@ -97,7 +97,7 @@ def test_the_newborn_are_the_sources_themselves(tracker, reached):
 def test_the_gradient_reaches_parameters_and_state(tracker, reached):
     forward, backward = (call for call, _ in steps.gradient_parts(tracker, *reached).values())
     assert forward()[1].log_evidence.requires_grad
-    survival = backward()[tracker.parameters._fields.index("survival")]
+    survival = backward()[tracker.model._fields.index("survival")]
     assert survival.isfinite()
     assert survival != 0
 

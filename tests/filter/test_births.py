@@ -15,8 +15,8 @@ from torchdt.core.weights import normalise
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.history import TrackHistory
-from torchdt.filter.state import Noise
 from torchdt.model.measurement import Measurement, from_snapshots
+from torchdt.model.noise.base import Noise
 from torchdt.model.prior import Priors
 from torchdt.model.region import Coordinate, Region
 
@@ -46,8 +46,8 @@ def step(measurement: Measurement, cell: float, **config) -> tuple[TrackHistory,
     )
     region = Region([Coordinate(**(BEARING | {"cell": cell}))], F64)
     tracker = DirectTracker(FIELD, region, 1.0, TrackerConfig(**settings, birth_mean=BIRTH_MEAN))
-    log_mean = tracker.parameters.birth_mean.log().requires_grad_()
-    tracker = tracker.with_parameters(tracker.parameters._replace(birth_mean=log_mean.exp()))
+    log_mean = tracker.model.birth_mean.log().requires_grad_()
+    tracker = tracker.with_model(tracker.model._replace(birth_mean=log_mean.exp()))
     limit = torch.full((runs, 2), LIMIT, dtype=F64)
     priors = Priors(limit, limit)
     variance = torch.full((runs, 2, SMALL["noise_points"]), ETA, dtype=F64)

@@ -12,7 +12,8 @@ from torchdt.core.weights import effective_sample_size, mean_and_covariance
 from torchdt.filter.bp.schedule import Beliefs, as_belief
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.declare import conclude, empty_slots, idle_particles, resample
-from torchdt.filter.state import Noise, Objects, TrackerState
+from torchdt.filter.state import Objects, TrackerState
+from torchdt.model.noise.base import Noise
 
 F64 = torch.float64
 PARTICLES, TONES, POINTS = 6, 2, 4

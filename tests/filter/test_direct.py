@@ -319,7 +319,7 @@ def test_some_sequences_share_what_all_share():
     tracker = make_tracker()
     part = tracker.select(slice(1, 3))
     assert part.dictionary is tracker.dictionary
-    assert part.parameters == tracker.parameters
+    assert part.parameters == tracker.model
 
 
 def test_some_sequences_have_fields_and_numbers_of_their_own():

@@ -51,7 +51,7 @@ def test_estimates_are_those_of_so_many_snapshots(measurement):
 def test_each_sequence_may_have_its_own(measurement):
     tracker = make_tracker()
     counts = torch.tensor([20.0, 60.0], dtype=F64)
-    both = evaluate(tracker.with_parameters(tracker.parameters._replace(effective_count=counts)), measurement)
+    both = evaluate(tracker.with_model(tracker.model.with_numbers({"effective_count": counts})), measurement)
     for index, count in enumerate(counts):
         alone = make_tracker(effective_count=count.item())
         one = Measurement(*(part[index : index + 1] for part in measurement))
@@ -63,8 +63,8 @@ def test_gradient_equals_finite_differences(measurement):
     tracker = make_tracker(particles=40)
 
     def value(count: Tensor) -> Tensor:
-        parameters = tracker.parameters._replace(effective_count=count)
-        return evaluate(tracker.with_parameters(parameters), measurement).sum()
+        parameters = tracker.model.with_numbers({"effective_count": count})
+        return evaluate(tracker.with_model(parameters), measurement).sum()
 
     count = torch.tensor(30.0, dtype=F64, requires_grad=True)
     with frozen_proposals() as tapes:

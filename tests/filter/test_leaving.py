@@ -16,8 +16,9 @@ from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.proposal.moved import respond
-from torchdt.filter.state import Noise, TrackerState
+from torchdt.filter.state import TrackerState
 from torchdt.model.measurement import Measurement, from_snapshots, mask_covariance
+from torchdt.model.noise.base import Noise
 from torchdt.model.prior import Priors
 from torchdt.model.region import Coordinate, Region
 
@@ -85,7 +86,7 @@ def tracked(measurement: Measurement, survival: Tensor, proposal: str) -> Tensor
         proposal=proposal,
     )
     tracker = DirectTracker(FIELD, REGION, 1.0, config)
-    tracker = tracker.with_parameters(tracker.parameters._replace(survival=survival))
+    tracker = tracker.with_model(tracker.model.with_numbers({"survival": survival}))
     limit = torch.full((RUNS, 2), 1.0, dtype=F64)
     priors, streams = Priors(limit, limit), RandomStreams.from_seeds(range(RUNS), (RUNS,), F64)
     state, found = started(tracker, priors), []

@@ -4,7 +4,7 @@ from unittest import mock
 
 import pytest
 import torch
-from oracles.likelihood import STEPS, differentiate, evaluate, measurements, parameters, snapshots
+from oracles.likelihood import STEPS, differentiate, evaluate, measurements, model, snapshots
 from oracles.line_array import make_tracker
 from torch import Tensor
 
@@ -14,7 +14,7 @@ from torchdt.filter.direct import DirectTracker
 from torchdt.filter.likelihood import log_likelihood
 from torchdt.filter.state import TrackerState
 from torchdt.model.measurement import Measurement, from_snapshots
-from torchdt.model.parameters import Parameters, stack_parameters
+from torchdt.model.model import stack_models
 from torchdt.model.prior import data_priors
 
 F64 = torch.float64
@@ -28,7 +28,7 @@ def measurement() -> Measurement:
 
 def small(dtype: torch.dtype = F64, **config) -> DirectTracker:
     tracker = make_tracker(dtype, **({"particles": 50, "round_size": 32} | config))
-    return tracker.with_parameters(parameters(dtype))
+    return tracker.with_model(model(dtype))
 
 
 def assert_same(found: tuple, expected: tuple, rel: float = 1e-9) -> None:
@@ -67,7 +67,7 @@ def test_blocks_that_run_again_leave_the_streams_alone(measurement):
     with torch.no_grad():
         small().run(measurement, priors, streams[0])
     survival = torch.tensor(0.9, dtype=F64, requires_grad=True)
-    tracker = small().with_parameters(parameters(survival=survival))
+    tracker = small().with_model(model(survival=survival))
     value = log_likelihood(tracker, measurement, priors, streams[1], block=2)
     before = streams[1].snapshot()
     value.sum().backward()
@@ -95,8 +95,8 @@ def cut(state: TrackerState) -> TrackerState:
 @MODES
 def test_truncation_after_every_step_is_the_sum_of_one_step_gradients(measurement, gradient):
     tracker, priors = small(gradient=gradient), data_priors(measurement)
-    leaves = {name: value.requires_grad_() for name, value in parameters().known().items()}
-    tracker = tracker.with_parameters(Parameters(**leaves))
+    leaves = {name: value.requires_grad_() for name, value in model().known().items()}
+    tracker = tracker.with_model(model().with_numbers(leaves))
     streams = RandomStreams.from_seeds([1, 2], (2,), F64)
     state, values = tracker.init(priors), []
     expected = {name: torch.zeros_like(value) for name, value in leaves.items()}
@@ -116,8 +116,8 @@ def test_cuts_lose_what_a_step_owes_to_earlier_ones(measurement, whole):
     torch.testing.assert_close(value, whole[0])
     first = Measurement(*(part[:, :1] for part in measurement))
     streams = RandomStreams.from_seeds([1, 2], (2,), F64)
-    shape = parameters().noise_shape.requires_grad_()
-    tracker = small().with_parameters(parameters(noise_shape=shape))
+    shape = model().noise.noise_shape.requires_grad_()
+    tracker = small().with_model(model(noise_shape=shape))
     alone = log_likelihood(tracker, first, data_priors(measurement), streams).sum()
     assert slopes["noise_shape"] != 0
     torch.testing.assert_close(slopes["noise_shape"], torch.autograd.grad(alone, shape)[0])
@@ -150,9 +150,9 @@ def test_bad_options_are_named(measurement, name, value):
 def test_a_batch_of_parameters_equals_separate_runs(measurement, gradient):
     """Each sequence with a setting of its own, of every parameter."""
     tracker = small(gradient=gradient)
-    first, second = parameters(), parameters()
-    second = Parameters(**{name: 0.8 * value for name, value in second.known().items()})
-    both = stack_parameters([first, second], 1)
+    first, second = model(), model()
+    second = second.with_numbers({name: 0.8 * value for name, value in second.known().items()})
+    both = stack_models([first, second], 1)
     together, slopes = differentiate(tracker, measurement, both)
     for b, own in enumerate((first, second)):
         alone = Measurement(*(t[b : b + 1] for t in measurement))
@@ -196,7 +196,7 @@ def test_a_padded_tail_changes_nothing(block):
     data = snapshots()
     data[0, 5:] = torch.nan
     measurement, tracker = from_snapshots(data), small()
-    both = stack_parameters([parameters()], 2)
+    both = stack_models([model()], 2)
     value, slopes = differentiate(tracker, measurement, both, block=block)
     assert value[0, 5:].eq(0).all()
     short = differentiate(tracker, from_snapshots(data[:1, :5]), seeds=[1], block=block)

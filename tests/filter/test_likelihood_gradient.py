@@ -6,14 +6,14 @@ from functools import partial
 import pytest
 import scipy.stats
 import torch
-from oracles.likelihood import differentiate, evaluate, frozen_proposals, measurements, parameters, rewind
+from oracles.likelihood import differentiate, evaluate, frozen_proposals, measurements, model, rewind
 from oracles.line_array import FREQS, POSITIONS, make_region, make_tracker, simulate
 from torch import Tensor
 
 from torchdt.field.plane_wave import LineArrayField
 from torchdt.filter.direct import DirectTracker
 from torchdt.model.measurement import Measurement, from_snapshots
-from torchdt.model.parameters import stack_parameters
+from torchdt.model.model import stack_models
 
 F64 = torch.float64
 SMALL = {"particles": 40, "resample_below": 0.0}
@@ -45,9 +45,9 @@ def test_gradient_in_the_parameters_equals_finite_differences(measurement, propo
 
         def value(name: str, at: Tensor) -> float:
             rewind(tapes)
-            return evaluate(tracker.with_parameters(parameters(**{name: at})), measurement).sum().item()
+            return evaluate(tracker.with_model(model(**{name: at})), measurement).sum().item()
 
-        for name, start in parameters().known().items():
+        for name, start in model().known().items():
             if gradient == "score" and name == "driving_variance":
                 continue
             slope = central_difference(partial(value, name), start)
@@ -70,7 +70,7 @@ def test_gradient_in_the_field_equals_finite_differences(measurement, proposal, 
     stretch = torch.tensor(1.02, dtype=F64, requires_grad=True)
 
     def value(at: Tensor) -> Tensor:
-        tracker = DirectTracker(StretchedArray(at), make_region(), 1.0, base.config, parameters())
+        tracker = DirectTracker(StretchedArray(at), make_region(), 1.0, base.config, model())
         return evaluate(tracker, measurement).sum()
 
     with frozen_proposals() as tapes:
@@ -91,7 +91,7 @@ def test_both_gradients_of_the_motion_agree_in_expectation():
     runs = 24
     turning = (((0.0, -30.0), (2.0, -33.0), (5.0, -20.0)), ((0.0, 30.0), (3.0, 25.0), (6.0, 33.0)))
     data = from_snapshots(simulate(1, *turning, steps=6)[0].expand(runs, -1, -1, -1, -1))
-    each = stack_parameters([parameters()], runs)
+    each = stack_models([model()], runs)
     value, slopes = zip(
         *(
             differentiate(make_tracker(gradient=gradient, evidence_samples=256), data, each, range(runs))

@@ -22,7 +22,7 @@ def predicted(bearings: list[float], deviation: float, log_odds: list[float], en
     objects = state.objects._replace(state=noise, log_odds=torch.tensor(log_odds, dtype=F64))
     draws = torch.zeros(len(bearings), 400, 1, dtype=F64)
     before = state._replace(objects=objects)
-    return predict(tracker.field, tracker.region, tracker.parameters, 1.0, before, draws, "score", enough)
+    return predict(tracker.field, tracker.region, tracker.model, 1.0, before, draws, "score", enough)
 
 
 def test_objects_whose_predictions_overlap_may_change_places():

@@ -7,13 +7,10 @@ from omegaconf import OmegaConf
 from torch.func import functional_call
 
 from torchdt.core.errors import InputError
-from torchdt.model.hyperparameters import (
-    SUPPORTS,
-    VECTORS,
-    Hyperparameters,
-    HyperparameterSettings,
-    PriorSettings,
-)
+from torchdt.field.mismatch import MISMATCH_SHARE
+from torchdt.field.waveguide.family import ENVIRONMENT
+from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings, PriorSettings
+from torchdt.model.model import Model
 
 F64 = torch.float64
 DEFAULTS = {
@@ -30,16 +27,20 @@ DEFAULTS = {
     "water_depth_m": -0.5,
 }
 
+KNOWN = Model().all_quantities() | {"mismatch_share": MISMATCH_SHARE} | ENVIRONMENT
+QUANTITIES = {name: KNOWN[name]._replace(value=value) for name, value in DEFAULTS.items()}
+OPEN = {name: quantity._replace(value=None) for name, quantity in KNOWN.items()}
+
 
 def of(name: str, *, prior: PriorSettings | None = None, **settings) -> Hyperparameters:
-    return Hyperparameters({name: HyperparameterSettings(**settings, prior=prior)}, DEFAULTS)
+    return Hyperparameters({name: HyperparameterSettings(**settings, prior=prior)}, QUANTITIES)
 
 
 def of_all() -> Hyperparameters:
-    settings = {name: HyperparameterSettings() for name in SUPPORTS}
+    settings = {name: HyperparameterSettings() for name in QUANTITIES}
     settings["likelihood_power"].start = 0.3
     settings["survival"].trainable = False
-    return Hyperparameters(settings, DEFAULTS)
+    return Hyperparameters(settings, QUANTITIES)
 
 
 def test_every_quantity_starts_at_its_default():
@@ -48,13 +49,13 @@ def test_every_quantity_starts_at_its_default():
     assert values.pop("likelihood_power") == pytest.approx(0.3)
     for name, value in values.items():
         assert value == pytest.approx(torch.as_tensor(DEFAULTS[name]).tolist(), rel=1e-6)
-        assert isinstance(value, list) == (name in VECTORS)
+        assert isinstance(value, list) == KNOWN[name].vector
 
 
 def test_parameters_are_the_trainable_ones():
     module = of_all()
     named = dict(module.named_parameters())
-    assert set(named) == set(module.trainable_names) == set(SUPPORTS) - {"survival"}
+    assert set(named) == set(module.trainable_names) == set(QUANTITIES) - {"survival"}
     assert {raw.dtype for raw in named.values()} == {F64}
     for name, value in module().items():
         assert value.dtype == F64
@@ -75,7 +76,7 @@ def test_no_step_leaves_the_support(shift):
         for raw in module.parameters():
             raw.add_(shift)
     for name, value in module().items():
-        support = SUPPORTS[name]
+        support = KNOWN[name].support.range
         # The smallest shape is one that the model accepts, so that rounding may reach it.
         above = value >= support.low if name.endswith("_shape") else value > support.low
         assert (above & (value < support.high)).all(), name
@@ -101,18 +102,20 @@ def test_a_start_does_without_a_default():
         "tilt_deg": HyperparameterSettings(start=2),
         "mismatch_share": HyperparameterSettings(start=[0.5]),
     }
-    assert Hyperparameters(settings, {}).values() == {"tilt_deg": 2.0, "mismatch_share": [0.5]}
+    assert Hyperparameters(settings, OPEN).values() == {"tilt_deg": 2.0, "mismatch_share": [0.5]}
 
 
 def test_the_default_is_not_shared():
     default = torch.tensor(2.0, dtype=F64)
-    module = Hyperparameters({"tilt_deg": HyperparameterSettings()}, {"tilt_deg": default})
+    module = Hyperparameters(
+        {"tilt_deg": HyperparameterSettings()}, {"tilt_deg": KNOWN["tilt_deg"]._replace(value=default)}
+    )
     with torch.no_grad():
         next(module.parameters()).add_(1.0)
     assert default == 2.0
 
 
-@pytest.mark.parametrize("name", SUPPORTS)
+@pytest.mark.parametrize("name", QUANTITIES)
 def test_frozen_values_are_exact(name):
     """Also a likelihood power of one, at the end of its support."""
     module = of(name, trainable=False)
@@ -137,7 +140,7 @@ def test_priors_agree_with_scipy():
         "noise_shape": HyperparameterSettings(),
         "power_shape": HyperparameterSettings(trainable=False, prior=PriorSettings(1.0, 1.0)),
     }
-    found = Hyperparameters(settings, DEFAULTS).log_prior()
+    found = Hyperparameters(settings, QUANTITIES).log_prior()
     log, logit, density = math.log, scipy.special.logit, scipy.stats.norm.logpdf
     expected = (
         density(log(3e-4), log(1e-4), 0.7)
@@ -194,11 +197,19 @@ def test_settings_come_from_hydra():
         (
             "power_shape",
             {"start": math.inf},
-            r"hyperparameters.power_shape': found inf, .*above 1 and finite",
+            r"hyperparameters.power_shape': found inf, expected a finite number",
         ),
-        ("noise_shape", {"start": 1.0}, r"hyperparameters.noise_shape': found 1.0, .*above 1 and finite"),
+        (
+            "noise_shape",
+            {"start": 1.0},
+            r"hyperparameters.noise_shape': found 1.0, .*not 1 to be learned, or trainable",
+        ),
         ("birth_mean", {"start": -1}, r"hyperparameters.birth_mean': found -1.0"),
-        ("tilt_deg", {"start": -math.inf}, r"hyperparameters.tilt_deg': found -inf, expected finite"),
+        (
+            "tilt_deg",
+            {"start": -math.inf},
+            r"hyperparameters.tilt_deg': found -inf, expected a finite number",
+        ),
         ("tilt_deg", {"start": "steep"}, r"hyperparameters.tilt_deg': found 'steep', expected a number or a"),
         ("tilt_deg", {"start": [1.0]}, r"hyperparameters.tilt_deg': found shape \(1,\), expected one number"),
         ("driving_variance", {"start": [1.0, 0.0]}, r"hyperparameters.driving_variance': found \[1.0, 0.0\]"),
@@ -212,7 +223,7 @@ def test_settings_come_from_hydra():
         (
             "likelihood_power",
             {},
-            r"likelihood_power': found 1.0, expected .*start below 1, or freeze it at 1",
+            r"likelihood_power': found 1.0, expected .*not 1 to be learned, or trainable: false",
         ),
         ("likelihood_power", {"start": 1.1, "trainable": False}, r"likelihood_power': found 1.1"),
         (
@@ -240,17 +251,17 @@ def test_bad_settings_are_named(name, settings, message):
 @pytest.mark.parametrize("start", [0.5, []])
 def test_a_vector_of_unknown_length_needs_a_list(start):
     with pytest.raises(InputError, match=r"mismatch_share': found shape .*, expected a list of numbers"):
-        Hyperparameters({"mismatch_share": HyperparameterSettings(start=start)}, {})
+        Hyperparameters({"mismatch_share": HyperparameterSettings(start=start)}, OPEN)
 
 
 def test_what_the_model_lacks_cannot_be_tuned():
     with pytest.raises(InputError, match=r"hyperparameters.tilt_deg': found neither .* untunable here"):
-        Hyperparameters({"tilt_deg": HyperparameterSettings()}, {"survival": 0.9})
+        Hyperparameters({"tilt_deg": HyperparameterSettings()}, OPEN)
 
 
 def test_a_default_outside_the_support_is_named():
     with pytest.raises(InputError, match=r"hyperparameters.mismatch_share': found \[0.0, 0.1\]"):
         Hyperparameters(
             {"mismatch_share": HyperparameterSettings()},
-            {"mismatch_share": torch.tensor([0.0, 0.1], dtype=F64)},
+            {"mismatch_share": MISMATCH_SHARE._replace(value=torch.tensor([0.0, 0.1], dtype=F64))},
         )

@@ -16,7 +16,7 @@ from torchdt.core.random import RandomStreams
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.likelihood import log_likelihood
 from torchdt.model.measurement import Measurement, from_snapshots
-from torchdt.model.parameters import Parameters
+from torchdt.model.model import Model
 from torchdt.model.prior import data_priors
 
 STEPS = 6
@@ -43,10 +43,10 @@ def measurements() -> Measurement:
     return from_snapshots(snapshots())
 
 
-def parameters(dtype: torch.dtype = torch.float64, **changed: Tensor) -> Parameters:
-    """Those of `START`, some of them changed."""
+def model(dtype: torch.dtype = torch.float64, **changed: Tensor) -> Model:
+    """Of the numbers in `START`, some of them changed."""
     values = {name: torch.tensor(value, dtype=dtype) for name, value in START.items()}
-    return Parameters(**(values | changed))
+    return Model().with_numbers(values | changed)
 
 
 def evaluate(
@@ -60,14 +60,14 @@ def evaluate(
 def differentiate(
     tracker: DirectTracker,
     measurement: Measurement,
-    at: Parameters | None = None,
+    at: Model | None = None,
     seeds: Sequence[int] = (1, 2),
     **options: int | None,
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Evidence `(B, K)`, and the gradient of its sum in every parameter; zero where there is none."""
-    at = parameters(tracker.region.low.dtype) if at is None else at
+    """Evidence `(B, K)`, and the gradient of its sum in every number of the model; zero where there is none."""
+    at = model(tracker.region.low.dtype) if at is None else at
     leaves = {name: value.clone().requires_grad_() for name, value in at.known().items()}
-    found = evaluate(tracker.with_parameters(Parameters(**leaves)), measurement, seeds, **options)
+    found = evaluate(tracker.with_model(at.with_numbers(leaves)), measurement, seeds, **options)
     slopes = torch.autograd.grad(found.sum(), leaves.values(), materialize_grads=True)
     return found.detach(), dict(zip(leaves, slopes, strict=True))
 

@@ -6,6 +6,7 @@ from torch import Tensor
 from torchdt.field.plane_wave import LineArrayField
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
+from torchdt.model.model import Model
 from torchdt.model.region import Coordinate, Region
 from torchdt.simulation.settings import CoordinateSettings, PathSettings, ScenarioSettings, SourceSettings
 from torchdt.simulation.simulate import simulate_snapshots
@@ -41,7 +42,10 @@ def make_region(dtype: torch.dtype = torch.float64) -> Region:
 
 
 def make_tracker(dtype: torch.dtype = torch.float64, **config) -> DirectTracker:
-    return DirectTracker(make_field(dtype), make_region(dtype), 1.0, TrackerConfig(**(SMALL | config)))
+    """A tracker of other settings, and of other numbers of the model."""
+    numbers = {name: config.pop(name) for name in Model().all_quantities() if name in config}
+    settings, model = TrackerConfig(**(SMALL | config)), Model().with_numbers(numbers)
+    return DirectTracker(make_field(dtype), make_region(dtype), 1.0, settings, model)
 
 
 def simulate(

@@ -9,8 +9,9 @@ import torch
 from oracles.enumeration import Marginals, Problem, enumerate_pair
 from torch import Tensor
 
-from torchdt.filter.state import Noise, Objects
+from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement, from_snapshots
+from torchdt.model.noise.base import Noise
 
 NUM_SENSORS, NUM_TONES, NUM_SNAPSHOTS, NUM_STATES = 8, 7, 3, 120
 

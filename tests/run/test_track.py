@@ -212,7 +212,7 @@ def test_sequences_keep_numbers_and_fields_of_their_own(five, own_fields):
     """The third of five, in a chunk of its own, beside the same sequence alone."""
     tracker = make_tracker()
     survival = torch.tensor([0.5, 0.6, 0.7, 0.8, 0.9], dtype=torch.float64)
-    parameters = tracker.parameters._replace(survival=survival)
+    parameters = tracker.model.with_numbers({"survival": survival})
     stacked = DirectTracker(own_fields, tracker.region, 1.0, tracker.config, parameters)
     history = track(five, stacked, SEEDS, memory_gb=gigabytes(stacked, five, 1))
     one = DirectTracker(
@@ -226,7 +226,7 @@ def test_sequences_keep_numbers_and_fields_of_their_own(five, own_fields):
     found = TrackHistory(*(t[2:3] for t in history))
     assert_same_tracks(found, alone, rtol=1e-6, atol=1e-6)
     torch.testing.assert_close(found.log_evidence, alone.log_evidence, rtol=1e-6, atol=1e-6)
-    other = track(five.select(slice(2, 3)), one.with_parameters(tracker.parameters), SEEDS[2:3])
+    other = track(five.select(slice(2, 3)), one.with_model(tracker.model), SEEDS[2:3])
     assert (other.log_evidence - alone.log_evidence).abs().max() > 1e-3
 
 

@@ -10,8 +10,10 @@ from torchdt.field.plane_wave import LineArrayField
 from torchdt.field.stacked import StackedField
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
+from torchdt.model.model import Model
+from torchdt.model.noise.white import WhiteNoise
 from torchdt.run.track import track
-from torchdt.run.variants import variant_configs, with_variants
+from torchdt.run.variants import variant_models, with_variants
 
 VARIANTS = [
     {"survival": 0.7, "birth_mean": 1e-2},
@@ -32,12 +34,12 @@ def test_every_setting_gives_what_it_gives_alone(fields):
     if fields == "own":
         field = StackedField([LineArrayField(FREQS, POSITIONS, c, dtype=torch.float64) for c in (1500, 1450)])
     tracker = DirectTracker(field, make_region(), 1.0, TrackerConfig(**SMALL))
-    configs = variant_configs(tracker.config, VARIANTS)
-    stacked = with_variants(tracker, configs, 2)
+    models = variant_models(Model(), VARIANTS)
+    stacked = with_variants(tracker, models, 2)
     history = track(recording.repeat(4), stacked, [5, 6] * 4)
     evidence = history.log_evidence.reshape(4, 2, -1)
-    for v, config in enumerate(configs):
-        alone = track(recording, DirectTracker(field, tracker.region, 1.0, config), [5, 6])
+    for v, model in enumerate(models):
+        alone = track(recording, DirectTracker(field, tracker.region, 1.0, tracker.config, model), [5, 6])
         found = type(history)(*(t[2 * v : 2 * v + 2] for t in history))
         assert torch.equal(found.declared, alone.declared)
         torch.testing.assert_close(found.existence, alone.existence, rtol=1e-6, atol=1e-6)
@@ -49,10 +51,10 @@ def test_every_setting_gives_what_it_gives_alone(fields):
 
 
 def test_what_a_variant_does_not_name_is_as_configured():
-    config = TrackerConfig(**SMALL, survival=0.8, noise_shape=30.0)
-    first, second = variant_configs(config, [{"survival": 0.6}, {"driving_variance": None}])
-    assert (first.survival, first.noise_shape, first.slots) == (0.6, 30.0, 4)
-    assert second == config
+    model = Model(survival=0.8, noise=WhiteNoise(30.0))
+    first, second = variant_models(model, [{"survival": 0.6}, {"driving_variance": None}])
+    assert (first.survival, first.noise.noise_shape) == (0.6, 30.0)
+    assert second == model
 
 
 @pytest.mark.parametrize(
@@ -60,27 +62,30 @@ def test_what_a_variant_does_not_name_is_as_configured():
     [
         ({"survival": 1.5}, r"'variants\[1\].survival': found 1.5, expected a probability"),
         ({"birth_mean": 0}, r"'variants\[1\].birth_mean': found 0, expected a positive number"),
-        ({"noise_shape": "high"}, r"'variants\[1\].noise_shape': found high, expected a number"),
-        ({"power_shape": True}, r"'variants\[1\].power_shape': found True, expected a number"),
-        ({"power_shape": None}, r"'variants\[1\].power_shape': found None, expected a number"),
+        ({"noise_shape": "high"}, r"'variants\[1\].noise_shape': found high, expected a finite number"),
+        ({"power_shape": True}, r"'variants\[1\].power_shape': found True, expected a finite number"),
+        ({"power_shape": None}, r"'variants\[1\].power_shape': found None, expected a finite number"),
         ({"driving_variance": 1e-3}, r"'variants\[1\].driving_variance': found 0.001, expected a list"),
-        ({"driving_variance": [0.0]}, r"'variants\[1\].driving_variance': found \[0.0\], expected a list"),
-        ({"slots": 3}, r"'variants\[1\].slots': found an unknown key, expected one of \['birth_mean'"),
+        (
+            {"driving_variance": [0.0]},
+            r"'variants\[1\].driving_variance': found 0.0, expected a positive number",
+        ),
+        ({"slots": 3}, r"'variants\[1\].slots': found an unknown number, expected one of \['birth_mean'"),
         ("survival", r"'variants\[1\]': found survival, expected values by name"),
     ],
 )
 def test_what_makes_no_sense_is_named(entry, message):
     with pytest.raises(InputError, match=message):
-        variant_configs(TrackerConfig(), [{}, entry])
+        variant_models(Model(), [{}, entry])
 
 
 def test_no_variants_are_refused():
     with pytest.raises(InputError, match="key 'variants': found none, expected one setting or more"):
-        variant_configs(TrackerConfig(), [])
+        variant_models(Model(), [])
 
 
 def test_a_driving_variance_that_does_not_fit_the_region_is_named():
-    configs = variant_configs(TrackerConfig(), [{}, {"driving_variance": [1e-3, 1e-3]}])
+    configs = variant_models(Model(), [{}, {"driving_variance": [1e-3, 1e-3]}])
     message = r"'variants\[1\].driving_variance': found \[0.001, 0.001\], expected one number for each of 1"
     with pytest.raises(InputError, match=message):
         with_variants(make_tracker(), configs, 2)

@@ -13,9 +13,9 @@ from torch.nn.functional import pad
 
 from torchdt.app.data_settings import DataSettings, SignalSettings
 from torchdt.app.environment import calibrated_field
-from torchdt.app.fields import build_field
 from torchdt.app.settings import TrackSettings
 from torchdt.app.signals import read_signals
+from torchdt.app.targets import build_field
 from torchdt.baselines.two_step import TwoStepConfig, TwoStepTracker
 from torchdt.core.errors import InputError, require
 from torchdt.core.memory import require_memory
@@ -174,13 +174,13 @@ def build_tracker(
     """
     if field is None:
         field = build_tracking_field(settings, recording)
-    region = build_region(settings, settings.torch_dtype)
+    region, model = build_region(settings, settings.torch_dtype), settings.statistical_model
     if isinstance(settings.tracker, TwoStepConfig):
-        return TwoStepTracker(field, region, recording.step_s, settings.tracker)
+        return TwoStepTracker(field, region, recording.step_s, settings.tracker, model.motion)
     config, expected = settings.direct, "null, or calibration=none: that estimates the share"
     share = config.mismatch_share
     require(share is None or not settings.calibration.enabled, "tracker.mismatch_share", share, expected)
-    return DirectTracker(field, region, recording.step_s, config)
+    return DirectTracker(field, region, recording.step_s, config, model)
 
 
 def build_tracking_field(settings: TrackSettings, recording: Recording) -> BaseField:

@@ -164,10 +164,10 @@ def check_gradient() -> str:
 
     def value(survival: Tensor) -> Tensor:
         streams = RandomStreams.from_seeds([settings.seed], (1,), torch.float64)
-        varied = tracker.with_parameters(tracker.parameters._replace(survival=survival))
+        varied = tracker.with_model(tracker.model.with_numbers({"survival": survival}))
         return log_likelihood(varied, prepared.measurement, prepared.priors, streams).sum()
 
-    at, step = tracker.parameters.survival, 1e-4
+    at, step = tracker.model.survival, 1e-4
     (slope,) = torch.autograd.grad(value(at.requires_grad_()), at)
     with torch.no_grad():
         difference = (value(at + step) - value(at - step)) / (2 * step)

@@ -5,8 +5,8 @@ from typing import Any
 
 import torch
 
-from torchdt.app.fields import build_field
 from torchdt.app.settings import TrackSettings
+from torchdt.app.targets import build_field
 from torchdt.calibration.environment import calibrate
 from torchdt.core.errors import InputError
 from torchdt.data.prepare import prepare

@@ -1,6 +1,7 @@
 """Configuration of the experiments: schemas for Hydra, range checks at the edge."""
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
@@ -9,13 +10,15 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from torchdt.app.data_settings import DataSettings, SignalSettings
+from torchdt.app.targets import build_model
 from torchdt.baselines.detect.config import PursuitConfig, SblConfig
 from torchdt.baselines.two_step import TwoStepConfig
 from torchdt.calibration.environment import CalibrationConfig
 from torchdt.core.errors import InputError, require
 from torchdt.core.ranges import Checked, Count, OneOf, Positive, Seed, StepIndex, Steps, Threads
 from torchdt.filter.config import ObjectConfig, TrackerConfig
-from torchdt.run.variants import variant_configs
+from torchdt.model.model import Model
+from torchdt.run.variants import variant_models
 from torchdt.simulation.settings import ScenarioSettings
 
 MANY = 8
@@ -53,8 +56,9 @@ class TrackSettings(Checked):
         field: target and arguments of the array response, see `torchdt.field.build`.
         seed: of the first run; run b has `seed + b`.
         runs: sequences simulated and tracked in one batch; a recording brings its own number.
-        variants: settings of the model for direct tracking, each a mapping of names in `Parameters`, and all
-            of them used on every sequence with the same seeds. Runs count variant by variant.
+        model: targets and numbers of the statistical model, see `torchdt.model.model.Model`.
+        variants: settings of the model for direct tracking, each a mapping of its numbers by name, and all of
+            them used on every sequence with the same seeds. Runs count variant by variant.
         device, dtype: of the tracker.
         threads: of the linear algebra; None leaves them to PyTorch.
         workers: parts of the batch tracked at the same time, which share the threads; None makes one of each
@@ -67,6 +71,7 @@ class TrackSettings(Checked):
     scenario: ScenarioSettings = dataclasses.field(default_factory=ScenarioSettings)
     field: Any = None
     calibration: CalibrationConfig = dataclasses.field(default_factory=CalibrationConfig)
+    model: Any = dataclasses.field(default_factory=dict)
     tracker: ObjectConfig = dataclasses.field(default_factory=ObjectConfig)
     data: DataSettings = dataclasses.field(default_factory=DataSettings)
     logging: LoggingSettings = dataclasses.field(default_factory=LoggingSettings)
@@ -83,20 +88,33 @@ class TrackSettings(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         require(_usable(self.device), "device", self.device, "a device that PyTorch can use here")
-        self.variant_configs()
+        self.variant_models()
 
     @property
     def torch_dtype(self) -> torch.dtype:
         """Real type of the tracker."""
         return torch.float32 if self.dtype == "float32" else torch.float64
 
-    def variant_configs(self) -> list[TrackerConfig]:
-        """Settings of the tracker for each of the variants; none where there are no variants.
+    @functools.cached_property
+    def statistical_model(self) -> Model:
+        """What the trackers assume.
+
+        Raises:
+            InputError: where a part or a number does not make sense.
+        """
+        return build_model(self.model)
+
+    def variant_models(self) -> list[Model]:
+        """The model of each of the variants; none where there are no variants.
 
         Raises:
             InputError: where a variant does not make sense, or the tracker is not the direct one.
         """
-        return [] if self.variants is None else variant_configs(self.direct, self.variants)
+        model = self.statistical_model
+        if self.variants is None:
+            return []
+        _ = self.direct
+        return variant_models(model, self.variants)
 
     @property
     def direct(self) -> TrackerConfig:

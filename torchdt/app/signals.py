@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from torchdt.app.data_settings import SignalSettings
-from torchdt.app.fields import build_field
 from torchdt.app.settings import TrackSettings
+from torchdt.app.targets import build_field
 from torchdt.core.errors import InputError, require
 from torchdt.data.recording import Recording, step_times, validate
 from torchdt.data.signals.readers import open_npy, open_wav

@@ -107,7 +107,7 @@ def set_up(settings: TrackSettings) -> tuple[Recording, Tracker[Any], list[int]]
     recording = build_recording(settings)
     tracker = build_tracker(settings, recording)
     seeds = list(range(settings.seed, settings.seed + recording.batch_size))
-    if variants := settings.variant_configs():
+    if variants := settings.variant_models():
         assert isinstance(tracker, DirectTracker)
         tracker = with_variants(tracker, variants, recording.batch_size)
         recording, seeds = recording.repeat(len(variants)), seeds * len(variants)
@@ -132,7 +132,7 @@ def write_results(
     write_tracks_csv(directory / "tracks.csv", history, recording.times(), tracker.region.column_names)
     if score is not None:
         write_gospa_csv(directory / "gospa.csv", score, recording.times())
-    if variants := settings.variant_configs():
+    if variants := settings.variant_models():
         write_variants_csv(directory / "variants.csv", variants, history, score)
     figures = {}
     if settings.logging.figures:

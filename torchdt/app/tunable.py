@@ -19,14 +19,16 @@ from torchdt.app.environment import waveguide_family
 from torchdt.app.quality import consecutive
 from torchdt.app.settings import TrackSettings
 from torchdt.core.errors import require
+from torchdt.core.support import Quantity
 from torchdt.data.npz import read_npz
 from torchdt.data.recording import Recording
 from torchdt.field.base import BaseField, of_each
 from torchdt.field.build import EnvironmentDraw, as_draw
+from torchdt.field.mismatch import MISMATCH_SHARE
+from torchdt.field.waveguide.family import ENVIRONMENT
 from torchdt.field.waveguide.waveguide import NormalModeField
 from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings
-from torchdt.model.parameters import default_parameters
-from torchdt.tuning.fields import ENVIRONMENT, FieldOf, environment_fields, share_fields
+from torchdt.tuning.fields import FieldOf, environment_fields, share_fields
 from torchdt.tuning.sequences import stack_recordings
 from torchdt.tuning.tracker import TrackerFamily
 
@@ -98,16 +100,13 @@ def build_problem(
     tuned = "mismatch_share" in chosen
     config = replace(settings.direct, mismatch_share=None) if tuned else settings.direct
     fields = [build_tracking_field(settings, s.recording) for s in sets]
-    region = build_region(settings, settings.torch_dtype)
+    region, model = build_region(settings, settings.torch_dtype), settings.statistical_model
     target = recorded_target(settings, sets[0].recording)
-    defaults = _defaults(settings, target, fields[0], sets[0].recording.num_snapshots)
-    hyperparameters = Hyperparameters(chosen, defaults)
-    for name in chosen:
-        key, expected = f"hyperparameters.{name}", f"one of {sorted(defaults)} with this field and data"
-        require(name in defaults, key, "a quantity that they do not have", expected)
+    quantities = _quantities(settings, target, fields[0], sets[0].recording.num_snapshots)
+    hyperparameters = Hyperparameters(chosen, quantities)
     varied = None
     if any(name in ENVIRONMENT for name in chosen):
-        start = {name: torch.as_tensor(defaults[name], dtype=torch.float64) for name in ENVIRONMENT}
+        start = {name: torch.as_tensor(quantities[name].value, dtype=torch.float64) for name in ENVIRONMENT}
         with torch.no_grad():
             family = waveguide_family(settings, target, settings.torch_dtype)
             varied = environment_fields(family, {**start, **hyperparameters()})
@@ -116,7 +115,7 @@ def build_problem(
         field_of = varied or _constant(field)
         if tuned:
             field_of = share_fields(field_of, region.low)
-        families.append(TrackerFamily(field_of, region, part.recording.step_s, config))
+        families.append(TrackerFamily(field_of, region, part.recording.step_s, config, model))
     return Problem(hyperparameters, families)
 
 
@@ -124,28 +123,29 @@ def _constant(field: BaseField) -> FieldOf:
     return lambda values: field
 
 
-def _defaults(
+def _quantities(
     settings: TrackSettings, target: dict, field: BaseField, num_snapshots: float | None
-) -> dict[str, Tensor | float]:
+) -> dict[str, Quantity]:
     """All that can be tuned, with the values of the configuration, in float64.
 
     Args:
         settings, target, field: of the tracker.
         num_snapshots: nominal number behind each covariance; None for snapshots, which are not up for tuning.
     """
-    region = build_region(settings, torch.float64)
-    defaults: dict[str, Tensor | float] = dict(default_parameters(settings.direct, region).known())
+    known = settings.statistical_model.on(build_region(settings, torch.float64)).all_quantities()
+    count = known.pop("effective_count")
     if num_snapshots is not None:
-        defaults.setdefault("effective_count", num_snapshots)
+        known["effective_count"] = count if count.value is not None else count._replace(value=num_snapshots)
     own = build_region(settings, settings.torch_dtype)
     if field.incoherent(of_each(field, own.complete(own.cell_centres()[:1]))) is not None:
         share = settings.direct.mismatch_share or [SHARE_START] * field.num_tones
-        defaults["mismatch_share"] = torch.tensor(share, dtype=torch.float64)
+        known["mismatch_share"] = MISMATCH_SHARE._replace(value=torch.tensor(share, dtype=torch.float64))
     eofs = target.get("eofs")
     if isinstance(field, NormalModeField) and eofs is not None:
         draw = as_draw(target.get("draw")) or EnvironmentDraw()
         coefficients = torch.zeros(len(eofs["functions"][0]), dtype=torch.float64)
         coefficients[: len(draw.eof_coefficients)] = torch.tensor(draw.eof_coefficients)
-        values = (coefficients, draw.tilt_deg, draw.water_depth_m)
-        defaults.update(zip(ENVIRONMENT, values, strict=True))
-    return defaults
+        values: tuple[Tensor | float, ...] = (coefficients, draw.tilt_deg, draw.water_depth_m)
+        for (name, quantity), value in zip(ENVIRONMENT.items(), values, strict=True):
+            known[name] = quantity._replace(value=value)
+    return known

@@ -107,7 +107,8 @@ class TuneJob:
     def _objective(self, sequences: SequenceSet, family: TrackerFamily) -> TrackerObjective:
         tuning = self.settings.tuning
         recording, mask, seeds = sequences
-        prepared = prepare(recording, family.field_of(self.hyperparameters()), family.region, family.config)
+        field, count = family.field_of(self.hyperparameters()), family.model.effective_count
+        prepared = prepare(recording, field, family.region, family.config, count)
         return TrackerObjective(family, prepared, mask, seeds, block=tuning.block, truncate=tuning.truncate)
 
     def run(self, state: TuningState | None) -> TuningState:
@@ -158,7 +159,7 @@ class TuneJob:
         set_raw(self.hyperparameters, state.best)
         values = self.hyperparameters.values()
         write_tuning_csv(self.directory / "tuning.csv", state.records)
-        write_tuned(self.directory / "tuned.yaml", values)
+        write_tuned(self.directory / "tuned.yaml", values, self.settings.statistical_model)
         write_json(
             self.directory / "tuning.json", tuning_summary(self.settings.tuning, state, values, scores)
         )

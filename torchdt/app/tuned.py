@@ -14,7 +14,7 @@ NAME = "tuned"
 """Of the configuration, as in `--config-name=tuned`."""
 
 DEFAULTS = ["track", "_self_"]
-PARTS = ("defaults", "tracker", "field", "calibration")
+PARTS = ("defaults", "model", "tracker", "field", "calibration")
 
 
 def check_command_line(arguments: Sequence[str]) -> None:

@@ -24,6 +24,8 @@ from torchdt.filter.history import TrackHistory
 from torchdt.filter.proposal.dictionary import Dictionary, build_dictionary
 from torchdt.filter.tracker import Tracker
 from torchdt.model.measurement import Measurement
+from torchdt.model.motion.base import Motion
+from torchdt.model.motion.constant_velocity import ConstantVelocity
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
 
@@ -48,6 +50,7 @@ class TwoStepTracker(Tracker[PointState]):
             those of the tracker.
         step_s: time step in seconds.
         config: numbers of the detector and the tracker.
+        motion: of objects; None is constant velocity.
 
     Attributes:
         field: as the tracker asks it: of positions alone too.
@@ -58,11 +61,19 @@ class TwoStepTracker(Tracker[PointState]):
 
     field: BaseField
 
-    def __init__(self, field: Field, region: Region, step_s: float, config: TwoStepConfig):
-        region = region.within(field)
+    def __init__(
+        self,
+        field: Field,
+        region: Region,
+        step_s: float,
+        config: TwoStepConfig,
+        motion: Motion | None = None,
+    ):
+        motion = ConstantVelocity() if motion is None else motion
+        region = region.within(field, motion)
         self.field, self.region, self.config = CompletedField(field, region.complete), region, config
-        likelihood = GaussianPosition(region, config.spread_in(region))
-        self.tracker = PointTracker(region, step_s, config, likelihood)
+        likelihood = GaussianPosition(region, config.spread_in(region), motion)
+        self.tracker = PointTracker(region, step_s, config, likelihood, motion)
 
     @cached_property
     def dictionary(self) -> Dictionary:
@@ -83,7 +94,7 @@ class TwoStepTracker(Tracker[PointState]):
         field = self.field.select(sequences)
         if field is self.field:
             return self
-        return type(self)(field, self.region, self.tracker.step_s, self.config)
+        return type(self)(field, self.region, self.tracker.step_s, self.config, self.tracker.motion)
 
     def prepare(self, recording: Recording) -> Prepared:
         """Scale a recording, see `prepare`.

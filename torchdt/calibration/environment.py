@@ -15,9 +15,9 @@ from torchdt.field.waveguide.family import WaveguideFamily
 from torchdt.field.waveguide.waveguide import NormalModeField
 from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.filter.proposal.newborn import Picks, search
-from torchdt.filter.state import Noise
 from torchdt.model.gamma_chain import uniform_prior
 from torchdt.model.measurement import Measurement
+from torchdt.model.noise.base import Noise
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
 

@@ -54,7 +54,11 @@ def check_step(recording: Recording, step_s: float) -> None:
 
 
 def prepare(
-    recording: Recording, field: Field, region: Region, config: TrackerConfig | None = None
+    recording: Recording,
+    field: Field,
+    region: Region,
+    config: TrackerConfig | None = None,
+    effective_count: Tensor | float | None = None,
 ) -> Prepared:
     """Scale a recording and set the priors that the configuration leaves to the data.
 
@@ -63,6 +67,7 @@ def prepare(
         field: what the tones and sensors of the recording must fit.
         region: gives type and device of the result.
         config: limits of the priors, where they are set; None takes them from the data.
+        effective_count: what every sample covariance is to count as; None leaves it to the data.
 
     Raises:
         InputError: where tones or sensors differ from the field's, a recording is zero throughout or so small
@@ -77,12 +82,11 @@ def prepare(
         require(found == fit, data_key, f"{found} {size}", f"{fit} {size}, as the field has")
     data = recording.data.to(torch.complex128)
     is_covariance = recording.covariance is not None
-    count = None if config is None else config.effective_count
-    require(is_covariance or count is None, "tracker.effective_count", count, "null: the data are snapshots")
-    least = field.num_sensors - 1
-    require(
-        count is None or count > least, "tracker.effective_count", count, f"above {least} with these sensors"
-    )
+    if effective_count is not None:
+        key, count = "model.effective_count", float(torch.as_tensor(effective_count).min())
+        require(is_covariance, key, count, "null: the data are snapshots")
+        least = field.num_sensors - 1
+        require(count > least, key, count, f"above {least} with these sensors")
     scale = data_scale(data, is_covariance)
     for value in scale[(scale <= 1 / LARGEST) | (scale >= LARGEST)].tolist()[:1]:
         expected = f"one from {1 / LARGEST:g} to {LARGEST:g}, whose square double precision can hold"

@@ -12,8 +12,12 @@ from typing import Self
 from torch import Tensor
 
 from torchdt.core.errors import InputError, require
+from torchdt.core.support import UNIT, Quantity
 from torchdt.field.base import BaseField, Field
 from torchdt.field.wrapped import WrappedField
+
+MISMATCH_SHARE = Quantity(UNIT, vector=True)
+"""One for each tone; what a likelihood can be differentiated in."""
 
 
 class MismatchedField(WrappedField):

@@ -18,7 +18,7 @@ def idle_particles(region: Region, num_particles: int) -> Tensor:
     """Particles of an empty slot, `(P, D)`: they mean nothing, but moments of them must stay finite."""
     along = torch.linspace(0, 1, num_particles, dtype=region.low.dtype, device=region.low.device)[:, None]
     position = torch.lerp(region.low, region.high, along)
-    return torch.cat([position, torch.lerp(region.rate_low, region.rate_high, along)], -1)
+    return region.complete(position)
 
 
 def conclude(

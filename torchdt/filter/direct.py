@@ -26,12 +26,12 @@ from torchdt.filter.predict import Predicted, exchangeable, predict
 from torchdt.filter.proposal.dictionary import Dictionary, build_dictionary
 from torchdt.filter.proposal.moved import Draws
 from torchdt.filter.slots import Placed
-from torchdt.filter.state import Noise, Objects, TrackerState
+from torchdt.filter.state import Objects, TrackerState
 from torchdt.filter.tracker import Tracker
-from torchdt.model.birth import birth_log_odds, log_no_birth
-from torchdt.model.gamma_chain import predict_chain, predicted_uniform_prior, uniform_prior
 from torchdt.model.measurement import Measurement
-from torchdt.model.parameters import Parameters, checked, default_parameters, widen
+from torchdt.model.model import Model
+from torchdt.model.noise.base import Noise
+from torchdt.model.part import widen
 from torchdt.model.prior import Priors, resolvable_noise
 from torchdt.model.region import Region
 from torchdt.model.wishart import log_normaliser
@@ -44,7 +44,7 @@ class StepDraws(NamedTuple):
     """Random numbers of one step.
 
     Attributes:
-        driving: `(*batch, N, P, d)` standard normal, of the motion.
+        driving: `(*batch, N, P, num_driving)` standard normal, of the motion.
         known, newborn: of the proposals for known and new objects.
         picks: `(*batch, Q, rounds, S, d)` standard normal, for refining picks.
         evidence: of the sampled evidence.
@@ -68,11 +68,12 @@ class DirectTracker(Tracker[TrackerState]):
         region: region of interest, less where the field says that no object can be; its dtype and device are
             those of the tracker.
         step_s: time step in seconds.
-        config: numbers of the model and the filter.
-        parameters: numbers of the model as tensors; None takes those of `config` and `region`.
+        config: numbers of the filter.
+        model: statistical model; None is that of Liang and Meyer.
 
     Attributes:
         field: as the tracker asks it: with the share of mismatch, and of positions alone too.
+        model: with all numbers as tensors.
 
     Raises:
         InputError: where field, region and settings do not fit each other.
@@ -86,15 +87,20 @@ class DirectTracker(Tracker[TrackerState]):
         region: Region,
         step_s: float,
         config: TrackerConfig,
-        parameters: Parameters | None = None,
+        model: Model | None = None,
     ):
-        self.region, self.step_s, self.config = region.within(field), require_step(step_s), config
-        self.field = CompletedField(field, region.complete)
+        model = Model() if model is None else model
+        self.region, self.step_s, self.config = (
+            region.within(field, model.motion),
+            require_step(step_s),
+            config,
+        )
+        self.field = CompletedField(field, self.region.complete)
         if config.mismatch_share is not None:
-            anywhere = of_each(self.field, region.cell_centres()[:1])
+            anywhere = of_each(self.field, self.region.cell_centres()[:1])
             self.field = with_share(self.field, config.mismatch_share, anywhere)
-        self.parameters = checked(default_parameters(config, region) if parameters is None else parameters)
-        self._idle = idle_particles(region, config.particles)
+        self.model = model.on(self.region)
+        self._idle = idle_particles(self.region, config.particles)
 
     @cached_property
     def dictionary(self) -> Dictionary:
@@ -104,15 +110,15 @@ class DirectTracker(Tracker[TrackerState]):
     def select(self, sequences: slice) -> Self:
         """The same tracker for some sequences of its batch; what all sequences share stays shared."""
         field = self.field.select(sequences)
-        return self._with_field(field, self.region.select(sequences), self.parameters.select(sequences))
+        return self._with_field(field, self.region.select(sequences), self.model.select(sequences))
 
-    def repeat(self, number: int, parameters: Parameters) -> Self:
-        """The same tracker for its batch repeated as a whole, with other numbers of the model."""
+    def repeat(self, number: int, model: Model) -> Self:
+        """The same tracker for its batch repeated as a whole, with another model."""
         field = repeat_field(self.field, number)
-        return self._with_field(field, self.region.within(field), parameters)
+        return self._with_field(field, self.region.within(field), model)
 
-    def _with_field(self, field: BaseField, region: Region, parameters: Parameters) -> Self:
-        other = self.with_parameters(parameters)
+    def _with_field(self, field: BaseField, region: Region, model: Model) -> Self:
+        other = self.with_model(model)
         if field is self.field:
             other.dictionary = self.dictionary
         else:
@@ -120,10 +126,10 @@ class DirectTracker(Tracker[TrackerState]):
             other.__dict__.pop("dictionary", None)
         return other
 
-    def with_parameters(self, parameters: Parameters) -> Self:
-        """The same tracker with other numbers of the model, see `checked`."""
+    def with_model(self, model: Model) -> Self:
+        """The same tracker with other numbers of the model."""
         other = copy.copy(self)
-        other.parameters = checked(parameters)
+        other.model = model.on(self.region)
         return other
 
     def prepare(self, recording: Recording) -> Prepared:
@@ -133,14 +139,14 @@ class DirectTracker(Tracker[TrackerState]):
             InputError: where it does not fit the tracker; also where its steps are of another length.
         """
         check_step(recording, self.step_s)
-        return prepare(recording, self.field, self.region, self.config)
+        return prepare(recording, self.field, self.region, self.config, self.model.effective_count)
 
     def init(self, priors: Priors) -> TrackerState:
         """State before the first step, k = 1: no objects, noise uniform up to `priors.noise_max` at k = 0."""
         cfg = self.config
         batch = priors.noise_max.shape[:-1]
         slots, num_tones = (*batch, cfg.slots), self.field.num_tones
-        power, log_power_weight = uniform_prior(priors.power_max, cfg.power_points)
+        power, log_power_weight = self.model.power.initial(priors.power_max, cfg.power_points)
         objects = Objects(
             state=self._idle.expand(*slots, -1, -1),
             log_weight=self._idle.new_full((*slots, cfg.particles), -math.log(cfg.particles)),
@@ -149,8 +155,7 @@ class DirectTracker(Tracker[TrackerState]):
             log_odds=self._idle.new_full(slots, -torch.inf),
             label=torch.zeros(slots, dtype=torch.int64, device=self._idle.device),
         )
-        shape = widen(self.parameters.noise_shape, 1)
-        noise = Noise(*predicted_uniform_prior(priors.noise_max, cfg.noise_points, shape))
+        noise = self.model.noise.initial(priors.noise_max, cfg.noise_points)
         return TrackerState(objects, noise, torch.ones(batch, dtype=torch.int64, device=self._idle.device))
 
     def step(
@@ -170,18 +175,18 @@ class DirectTracker(Tracker[TrackerState]):
         Raises:
             NumericalError: where a covariance is not positive definite or a message not finite.
         """
-        cfg, parameters = self.config, self.parameters
+        cfg, model = self.config, self.model
         draws = self.draw(streams)
-        given, count = measurement, parameters.effective_count
+        given, count = measurement, model.effective_count
         if count is not None:
             measurement = given.recounted(widen(count, 1))
-        tempered = measurement.tempered(widen(parameters.likelihood_power, 1))
+        tempered = measurement.tempered(widen(model.likelihood_power, 1))
         # Noise that the numbers of this step cannot resolve is as good as the least that they can. The belief
         # that goes on keeps its support points.
         noise = state.noise.above(resolvable_noise(measurement, priors))
         predicted = self.predict(state._replace(noise=noise), draws.driving)
-        born = birth_log_odds(parameters.birth_mean, self.region.num_cells)
-        placer = Placer(self.field, self.region, self.dictionary, cfg, born)
+        born = model.birth.log_odds(self.region)
+        placer = Placer(self.field, self.region, self.dictionary, cfg, model, born)
         current = placer.place(predicted, noise, tempered, priors, draws.known, draws.newborn, draws.picks)
         beliefs = update(
             current.objects,
@@ -198,19 +203,17 @@ class DirectTracker(Tracker[TrackerState]):
         objects, next_label, estimate = conclude(current.objects, beliefs, state, log_evidence, cfg)
         if cfg.proposal == "prior":
             objects = resample(objects, cfg, streams)
-        chain = predict_chain(
-            state.noise.variance, beliefs.noise.log_weight, widen(parameters.noise_shape, 1)
-        )
-        return TrackerState(empty_slots(objects, self._idle), Noise(*chain), next_label), estimate
+        noise = model.noise.predict(state.noise._replace(log_weight=beliefs.noise.log_weight))
+        return TrackerState(empty_slots(objects, self._idle), noise, next_label), estimate
 
     def draw(self, streams: RandomStreams) -> StepDraws:
         """Random numbers of a step, always as many, whatever the other sequences of the batch need."""
         cfg, d = self.config, self.region.num_coordinates
-        size = (cfg.rounds, cfg.round_size, d)
+        size, entries = (cfg.rounds, cfg.round_size, d), d + self.model.motion.num_extra(d)
         return StepDraws(
-            streams.normal(cfg.slots, cfg.particles, d),
-            Draws(streams.normal(cfg.slots, *size), streams.normal(cfg.slots, cfg.particles, 2 * d)),
-            Draws(streams.normal(cfg.births, *size), streams.normal(cfg.births, cfg.particles, 2 * d)),
+            streams.normal(cfg.slots, cfg.particles, self.model.motion.num_driving(d)),
+            Draws(streams.normal(cfg.slots, *size), streams.normal(cfg.slots, cfg.particles, entries)),
+            Draws(streams.normal(cfg.births, *size), streams.normal(cfg.births, cfg.particles, entries)),
             streams.normal(cfg.births, *size),
             UniformDraws.draw(streams, cfg.slots + cfg.births, self.field.num_tones, cfg.evidence_samples),
         )
@@ -220,8 +223,8 @@ class DirectTracker(Tracker[TrackerState]):
         cfg = self.config
         # Adapted proposals draw particles of their own: of the predicted ones they need only the moments.
         enough = ENOUGH if cfg.proposal == "adapted" and cfg.evidence == "sampled" else None
-        model = self.field, self.region, self.parameters, self.step_s
-        return predict(*model, state, draws, cfg.gradient, enough)
+        where = self.field, self.region, self.model, self.step_s
+        return predict(*where, state, draws, cfg.gradient, enough)
 
     def evidence(
         self,
@@ -247,7 +250,5 @@ class DirectTracker(Tracker[TrackerState]):
                 current.objects, current.response, noise, measurement, drawn, beliefs.diffuse
             )
             num_new = new_odds.isfinite().sum(-1)
-            log_evidence = log_evidence + log_no_birth(
-                self.parameters.birth_mean, self.region.num_cells, num_new
-            )
+            log_evidence = log_evidence + self.model.birth.log_none(self.region, num_new)
         return torch.where((measurement.num_snapshots > 0).any(-1), log_evidence, 0.0)

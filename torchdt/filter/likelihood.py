@@ -8,8 +8,9 @@ from torchdt.core.errors import require
 from torchdt.core.linalg import BREAKDOWN, NumericalError
 from torchdt.core.random import RandomStreams
 from torchdt.filter.direct import DirectTracker
-from torchdt.filter.state import Noise, Objects, TrackerState
+from torchdt.filter.state import Objects, TrackerState
 from torchdt.model.measurement import Measurement
+from torchdt.model.noise.base import Noise
 from torchdt.model.prior import Priors
 
 

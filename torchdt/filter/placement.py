@@ -15,8 +15,10 @@ from torchdt.filter.proposal.dictionary import Dictionary
 from torchdt.filter.proposal.moved import Draws, propose_adapted
 from torchdt.filter.proposal.newborn import Picks, propose_newborn, search
 from torchdt.filter.slots import Placed, join, join_beliefs
-from torchdt.filter.state import Noise, Objects
+from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement
+from torchdt.model.model import Model
+from torchdt.model.noise.base import Noise
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
 
@@ -29,6 +31,7 @@ class Placer:
         region: region of interest.
         dictionary: responses on the region's grid.
         config: settings of the filter.
+        model: statistical model.
         birth_log_odds: of a new object in one cell, `(*batch,)`.
     """
 
@@ -38,10 +41,11 @@ class Placer:
         region: Region,
         dictionary: Dictionary,
         config: TrackerConfig,
+        model: Model,
         birth_log_odds: Tensor,
     ):
         self.field, self.region, self.dictionary = field, region, dictionary
-        self.config, self.birth_log_odds = config, birth_log_odds
+        self.config, self.model, self.birth_log_odds = config, model, birth_log_odds
 
     def place(
         self,
@@ -160,6 +164,7 @@ class Placer:
             picks,
             known.beliefs.noise,
             priors.power_max,
+            self.model,
             cfg.power_points,
             self.birth_log_odds,
             draws,

@@ -9,15 +9,9 @@ from torchdt.field.base import BaseField
 from torchdt.filter.bp.schedule import Beliefs, as_belief, initial_beliefs
 from torchdt.filter.proposal.moved import diffuse_part, respond
 from torchdt.filter.state import Objects, TrackerState
-from torchdt.model.gamma_chain import predict_chain
-from torchdt.model.motion.constant_velocity import (
-    condition_inside,
-    predict_log_odds,
-    predict_moments,
-    predict_state,
-)
-from torchdt.model.motion.driving import drive
-from torchdt.model.parameters import Parameters, widen
+from torchdt.model.existence import condition_inside, predict_log_odds
+from torchdt.model.model import Model
+from torchdt.model.part import widen
 from torchdt.model.region import Region
 
 
@@ -40,7 +34,7 @@ class Predicted(NamedTuple):
 def predict(
     field: BaseField,
     region: Region,
-    parameters: Parameters,
+    model: Model,
     step_s: float,
     state: TrackerState,
     draws: Tensor,
@@ -52,25 +46,23 @@ def predict(
     Args:
         field: array response.
         region: region of interest.
-        parameters: numbers of the model.
+        model: statistical model.
         step_s: time step in seconds.
         state: belief after the last step, strongest objects first; slots that are empty throughout the batch
             are left out of the result.
-        draws: `(*batch, N, P, d)` standard normal.
-        gradient: how the particles depend on the driving noise, see `drive`.
+        draws: `(*batch, N, P, num_driving)` standard normal.
+        gradient: how the particles depend on the numbers of the motion, see `drive`.
         enough: number of particles whose responses suffice, for their moments; None takes all.
     """
     dim = state.objects.log_odds.ndim - 1
     occupied = max(1, int(state.objects.log_odds.isfinite().sum(-1).max()))
     old = Objects(*(t.narrow(dim, 0, occupied) for t in state.objects))
-    variance = parameters.driving_variance.unsqueeze(-2)
-    driving, log_ratio = drive(draws.narrow(dim, 0, occupied), variance, gradient)
-    chain = predict_chain(old.power, old.log_power_weight, widen(parameters.power_shape, 2))
-    moved = predict_state(old.state, driving, step_s)
+    moved, log_ratio = model.motion.predict(old.state, draws.narrow(dim, 0, occupied), step_s, gradient)
+    power = model.power.predict(old.power, old.log_power_weight)
     log_weight, log_inside = condition_inside(moved, old.log_weight + log_ratio, region)
-    log_odds = predict_log_odds(old.log_odds, widen(parameters.survival, 1) * log_inside.exp())
-    objects = Objects(moved, log_weight, *chain, log_odds, old.label)
-    moments = predict_moments(*mean_and_covariance(old.state, old.log_weight), step_s, variance)
+    log_odds = predict_log_odds(old.log_odds, widen(model.survival, 1) * log_inside.exp())
+    objects = Objects(moved, log_weight, *power, log_odds, old.label)
+    moments = model.motion.moments(*mean_and_covariance(old.state, old.log_weight), step_s)
     every = 1 if enough is None else max(1, objects.state.shape[-2] // enough)
     heard = objects
     if every > 1:

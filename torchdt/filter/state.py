@@ -6,13 +6,14 @@ import torch
 from torch import Tensor
 
 from torchdt.core.weights import weighted_mean
+from torchdt.model.noise.base import Noise
 
 
 class Objects(NamedTuple):
     """Beliefs about N potential objects; an empty slot has `log_odds` of minus infinity.
 
     Attributes:
-        state: `(*batch, N, P, D)` particles: d positions, then d rates.
+        state: `(*batch, N, P, D)` particles: d positions, then what the motion has beside them.
         log_weight: `(*batch, N, P)` normalised log-weights.
         power: `(*batch, N, I, G)` support points of each tone's power.
         log_power_weight: `(*batch, N, I, G)` normalised log-weights.
@@ -36,27 +37,6 @@ class Objects(NamedTuple):
     def mean_power(self) -> Tensor:
         """E[gamma] of each tone given existence, `(*batch, N, I)`."""
         return weighted_mean(self.power, self.log_power_weight)
-
-
-class Noise(NamedTuple):
-    """Belief about the noise variance of each tone.
-
-    Attributes:
-        variance: `(*batch, I, E)` support points.
-        log_weight: `(*batch, I, E)` normalised log-weights.
-    """
-
-    variance: Tensor
-    log_weight: Tensor
-
-    @property
-    def mean(self) -> Tensor:
-        """E[eta] of each tone, `(*batch, I)`."""
-        return weighted_mean(self.variance, self.log_weight)
-
-    def above(self, least: Tensor) -> "Noise":
-        """The same belief with no support point below `(*batch, I)` values."""
-        return self._replace(variance=torch.maximum(self.variance, least[..., None]))
 
 
 class TrackerState(NamedTuple):

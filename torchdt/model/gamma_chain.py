@@ -12,12 +12,20 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.distributions import constraints
 
+from torchdt.core.ranges import Range
+from torchdt.core.support import Support
 from torchdt.core.weights import weighted_mean
 
 LEAST_SHAPE = 1.0
 """Smallest shape c of a chain: a relative standard deviation of one per step. Below, the density of the next
 value has a pole at zero, and few support points cannot stand for it."""
+
+SHAPE = Support(
+    Range(f"a finite number of at least {LEAST_SHAPE:g}", low=LEAST_SHAPE),
+    constraints.greater_than(LEAST_SHAPE),
+)
 
 WIDEST = 4.0
 """Largest standard deviation of the logarithm of a predicted belief: a factor of 50. Wider ones say

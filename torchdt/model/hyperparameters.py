@@ -3,60 +3,14 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.distributions import Normal, biject_to, constraints
+from torch.distributions import Normal
 
 from torchdt.core.errors import InputError, require
-from torchdt.model.gamma_chain import LEAST_SHAPE
-
-
-class Support(NamedTuple):
-    """Open interval in which a quantity lies.
-
-    Attributes:
-        constraint: whose bijection from the real line makes the quantity of its unconstrained value.
-        low, high: ends of the interval.
-        words: what lies inside, for error messages.
-        frozen_at_high: whether a frozen quantity may lie at the upper end.
-    """
-
-    constraint: constraints.Constraint
-    low: float
-    high: float
-    words: str
-    frozen_at_high: bool = False
-
-
-REAL = Support(constraints.real, -math.inf, math.inf, "finite")
-POSITIVE = Support(constraints.positive, 0.0, math.inf, "positive and finite")
-SHAPE = Support(
-    constraints.greater_than(LEAST_SHAPE), LEAST_SHAPE, math.inf, f"above {LEAST_SHAPE:g} and finite"
-)
-UNIT = Support(constraints.unit_interval, 0.0, 1.0, "strictly between 0 and 1")
-UP_TO_ONE = UNIT._replace(
-    words=f"{UNIT.words}: start below 1, or freeze it at 1 (trainable: false)", frozen_at_high=True
-)
-
-SUPPORTS = {
-    "power_shape": SHAPE,
-    "noise_shape": SHAPE,
-    "birth_mean": POSITIVE,
-    "driving_variance": POSITIVE,
-    "survival": UNIT,
-    "mismatch_share": UNIT,
-    "likelihood_power": UP_TO_ONE,
-    "effective_count": POSITIVE,
-    "eof_coefficients": REAL,
-    "tilt_deg": REAL,
-    "water_depth_m": REAL,
-}
-"""Known quantities; the last three are changes of the environment from the nominal one."""
-
-VECTORS = ("driving_variance", "mismatch_share", "eof_coefficients")
-"""One number for each coordinate `(d,)`, tone `(I,)` and EOF; all others are scalars."""
+from torchdt.core.support import POSITIVE, Quantity
 
 
 @dataclass
@@ -97,40 +51,40 @@ class Hyperparameters(nn.Module):
     the CPU; move it with `to`.
 
     Args:
-        settings: by name, see `SUPPORTS`.
-        defaults: what the model would use otherwise, by name: starts where the settings have none, and
-            lengths of vectors.
+        settings: by name.
+        quantities: all that there are, by name: of a model, of a field. Their values are starts where the
+            settings have none, and give the lengths of vectors.
 
     Raises:
-        InputError: naming `hyperparameters.<name>`, where a name is unknown or has neither start nor
-            default, or where a value lies outside the support or has the wrong length.
+        InputError: naming `hyperparameters.<name>`, where a name is unknown or has neither start nor value,
+            or where a value lies outside the support or has the wrong length.
     """
 
-    def __init__(
-        self, settings: Mapping[str, HyperparameterSettings], defaults: Mapping[str, Tensor | float]
-    ):
+    def __init__(self, settings: Mapping[str, HyperparameterSettings], quantities: Mapping[str, Quantity]):
         super().__init__()
         self.names = tuple(settings)
+        self._quantities = {name: quantities[name] for name in settings if name in quantities}
         self._priors: dict[str, tuple[Tensor, float]] = {}
         for name, entry in settings.items():
             key = f"hyperparameters.{name}"
-            require(name in SUPPORTS, key, "an unknown name", f"one of {sorted(SUPPORTS)}")
-            tunable = name in defaults or entry.start is not None
+            require(name in quantities, key, "an unknown name", f"one of {sorted(quantities)}")
+            quantity = quantities[name]
+            tunable = quantity.value is not None or entry.start is not None
             require(tunable, key, "neither start nor default", "a quantity of this model; untunable here")
-            default = _numbers(key, defaults[name]) if name in defaults else None
+            default = None if quantity.value is None else _numbers(key, quantity.value)
             start = _numbers(key, entry.start) if default is None or entry.start is not None else default
-            value = _checked(name, key, start, default, frozen=not entry.trainable)
+            value = _checked(quantity, key, start, default, frozen=not entry.trainable)
             if not entry.trainable:
                 self.register_buffer(f"frozen_{name}", value)
                 continue
-            to_support = biject_to(SUPPORTS[name].constraint)
-            self.register_parameter(name, nn.Parameter(to_support.inv(value)))
+            support = quantity.support
+            self.register_parameter(name, nn.Parameter(support.unconstrain(value)))
             if entry.prior is not None:
                 key, spread = f"{key}.prior", entry.prior.spread
-                require(0 < spread < math.inf, f"{key}.spread", spread, f"a number {POSITIVE.words}")
+                require(0 < spread < math.inf, f"{key}.spread", spread, POSITIVE.words)
                 median = _numbers(f"{key}.median", entry.prior.median)
-                median = _checked(name, f"{key}.median", median, value, frozen=False)
-                self._priors[name] = to_support.inv(median), spread
+                median = _checked(quantity, f"{key}.median", median, value, frozen=False)
+                self._priors[name] = support.unconstrain(median), spread
 
     @property
     def trainable_names(self) -> tuple[str, ...]:
@@ -138,10 +92,10 @@ class Hyperparameters(nn.Module):
         return tuple(name for name, _ in self.named_parameters())
 
     def forward(self) -> dict[str, Tensor]:
-        """Values by name, float64, of shape `()`, or `(length,)` for those in `VECTORS`."""
+        """Values by name, float64, of shape `()`, or `(length,)` for vectors."""
         raw = dict(self.named_parameters())
         return {
-            name: biject_to(SUPPORTS[name].constraint)(raw[name])
+            name: self._quantities[name].support.constrain(raw[name])
             if name in raw
             else self.get_buffer(f"frozen_{name}")
             for name in self.names
@@ -170,16 +124,16 @@ def _numbers(key: str, value: Any) -> Tensor:
         raise InputError.of_key(key, repr(value), "a number or a list of numbers") from None
 
 
-def _checked(name: str, key: str, value: Tensor, like: Tensor | None, *, frozen: bool) -> Tensor:
+def _checked(quantity: Quantity, key: str, value: Tensor, like: Tensor | None, *, frozen: bool) -> Tensor:
     """Values inside their support, of the shape of `like` where that is known."""
     shape = value.shape if like is None else like.shape
     length = "" if like is None else f"{like.numel()} "
-    expected = f"a list of {length}numbers" if name in VECTORS else "one number"
-    fits = len(shape) == int(name in VECTORS) and 0 not in shape and value.shape in (shape, ())
+    expected = f"a list of {length}numbers" if quantity.vector else "one number"
+    fits = len(shape) == int(quantity.vector) and 0 not in shape and value.shape in (shape, ())
     require(fits, key, f"shape {tuple(value.shape)}", expected)
-    support = SUPPORTS[name]
-    inside = (support.low < value) & (value < support.high)
-    if frozen and support.frozen_at_high:
-        inside = inside | (value == support.high)
-    require(bool(inside.all()), key, value.tolist(), support.words)
+    support = quantity.support
+    for entry in value.flatten().tolist():
+        fault = support.range.fault(entry)
+        require(fault is None, key, value.tolist(), fault)
+    require(frozen or support.inside(value), key, value.tolist(), f"{support.words}, or trainable: false")
     return value.expand(shape).clone()

@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -14,6 +15,9 @@ from torchdt.core.errors import require
 from torchdt.core.ranges import Finite, Positive, check
 from torchdt.field.base import BaseField, Field, as_field, of_each
 from torchdt.model.ambiguity import refuse_images, refuse_other_periods
+
+if TYPE_CHECKING:
+    from torchdt.model.motion.base import Motion
 
 MOST_CELLS = 10_000_000
 """Of a region: what their centres take is a small part of a machine's memory."""
@@ -86,6 +90,7 @@ class Region:
         inside: where in the box there can be objects, `(*batch, D)` states to `(*batch,)` bool; None is
             everywhere, or where the field says.
         field: what else limits the box, see `within`.
+        motion: what states have beside their position; None stands for rates, as constant velocity has them.
 
     Attributes:
         low, high: `(d,)` corners of the box.
@@ -104,8 +109,9 @@ class Region:
         device: torch.device | str = "cpu",
         inside: Callable[[Tensor], Tensor | None] | None = None,
         field: BaseField | None = None,
+        motion: "Motion | None" = None,
     ):
-        self.coordinates, self._field = tuple(coordinates), field
+        self.coordinates, self._field, self._motion = tuple(coordinates), field, motion
         require(len(self.coordinates) > 0, "scenario.coordinates", "none", "one coordinate or more")
 
         def vector(values: Sequence[float]) -> Tensor:
@@ -133,8 +139,8 @@ class Region:
         found = f"{number} cells, none of them where an object can be"
         require(self.num_cells > 0, "scenario.coordinates", found, "a region with room for objects")
 
-    def within(self, field: Field) -> "Region":
-        """What a field leaves of this region, see `BaseField.inside`.
+    def within(self, field: Field, motion: "Motion | None" = None) -> "Region":
+        """What a field leaves of this region, see `BaseField.inside`; of states of a motion.
 
         Raises:
             InputError: where the field has states of other coordinates, leaves nothing, leaves other cells to
@@ -144,7 +150,8 @@ class Region:
         field = as_field(field)
         found, expected = f"{self.num_coordinates} coordinates", f"{field.num_coordinates}, as the field"
         require(self.num_coordinates == field.num_coordinates, "scenario.coordinates", found, expected)
-        left = Region(self.coordinates, self.low.dtype, self.low.device, field=field)
+        motion = self._motion if motion is None else motion
+        left = Region(self.coordinates, self.low.dtype, self.low.device, field=field, motion=motion)
         refuse_images(left, field)
         refuse_other_periods(left, field)
         return left
@@ -197,6 +204,8 @@ class Region:
         """Whole states: positions `(*batch, d)` with rates in the middle of theirs, states as they are."""
         if position.shape[-1] != self.num_coordinates:
             return position
+        if self._motion is not None:
+            return self._motion.complete(self, position)
         middle = (self.rate_low + self.rate_high) / 2
         return torch.cat([position, middle.expand_as(position)], -1)
 
@@ -251,7 +260,9 @@ class Region:
 
     @property
     def column_names(self) -> tuple[str, ...]:
-        """Names of the 2 d state entries for tables: positions, then rates."""
+        """Names of the entries of a state for tables: positions, then what the motion has beside them."""
+        if self._motion is not None:
+            return self._motion.column_names(self.coordinates)
         positions = [f"{c.name}_{c.unit}" for c in self.coordinates]
         rates = [f"{c.name}_rate_{c.unit}ps" for c in self.coordinates]
         return (*positions, *rates)

@@ -7,9 +7,7 @@ from torch import Tensor
 
 from torchdt.field.base import Field
 from torchdt.field.mismatch import MismatchedField
-from torchdt.field.waveguide.family import WaveguideFamily
-
-ENVIRONMENT = ("eof_coefficients", "tilt_deg", "water_depth_m")
+from torchdt.field.waveguide.family import ENVIRONMENT, WaveguideFamily
 
 FieldOf = Callable[[Mapping[str, Tensor]], Field]
 

@@ -12,7 +12,7 @@ from torchdt.field.base import Field
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.likelihood import log_likelihood
-from torchdt.model.parameters import default_parameters, with_values
+from torchdt.model.model import Model
 from torchdt.model.region import Region
 from torchdt.run.track import derive_seed
 
@@ -23,18 +23,20 @@ class TrackerFamily:
 
     Attributes:
         field_of: field of given values.
-        region, step_s, config: as for `DirectTracker`; the config has what the values do not name.
+        region, step_s, config, model: as for `DirectTracker`; the model has what the values do not name.
     """
 
     field_of: Callable[[Mapping[str, Tensor]], Field]
     region: Region
     step_s: float
     config: TrackerConfig
+    model: Model
 
     def at(self, values: Mapping[str, Tensor]) -> DirectTracker:
         """The tracker of given values; gradients pass."""
-        parameters = with_values(default_parameters(self.config, self.region), values)
-        return DirectTracker(self.field_of(values), self.region, self.step_s, self.config, parameters)
+        own = {name: value for name, value in values.items() if name in self.model.all_quantities()}
+        model = self.model.on(self.region).with_numbers(own)
+        return DirectTracker(self.field_of(values), self.region, self.step_s, self.config, model)
 
 
 class TrackerObjective:

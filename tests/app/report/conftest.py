@@ -2,8 +2,9 @@ import pytest
 import torch
 
 from torchdt.filter.history import TrackHistory
-from torchdt.filter.state import Noise, Objects, TrackerState
+from torchdt.filter.state import Objects, TrackerState
 from torchdt.metrics import gospa
+from torchdt.model.noise.base import Noise
 
 B, K, N, I, L = 2, 6, 3, 2, 2  # noqa: E741
 P, G = 40, 3

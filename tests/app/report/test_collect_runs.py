@@ -8,7 +8,7 @@ from omegaconf import OmegaConf
 
 from torchdt.app.report.collect_runs import read_runs
 from torchdt.core.errors import InputError
-from torchdt.model.parameters import Parameters
+from torchdt.model.model import Model
 
 
 @pytest.fixture
@@ -40,21 +40,22 @@ def test_groups_and_what_was_set(directory):
 def test_variants_without_truth(directory):
     """And one without a likelihood."""
     with (directory / "variants.csv").open("w", newline="") as file:
-        table = csv.DictWriter(file, [*Parameters._fields, "log_likelihood"])
+        table = csv.DictWriter(file, [*NAMES, "log_likelihood"])
         table.writeheader()
         table.writerows(
             {"survival": share, "log_likelihood": value} for share, value in ((0.9, 7), (0.8, "nan"))
         )
     first, second = read_runs(directory)
-    assert (first.settings["tracker.survival"], second.settings["tracker.survival"]) == (0.9, 0.8)
+    assert (first.settings["model.survival"], second.settings["model.survival"]) == (0.9, 0.8)
     assert first.metrics == {"log_likelihood": [7.0]}
     assert second.metrics == {}
     assert (first.sequences, second.sequences) == (1, 1)
 
 
+NAMES = tuple(Model().all_quantities())
 HEADER = "run,step,gospa,localisation,missed,false\n"
 ROWS = "".join(f"{run},{step},0.5,0.25,0.125,0.125\n" for run in range(2) for step in range(5))
-VARIANTS = ",".join([*Parameters._fields, "log_likelihood"]) + "\n"
+VARIANTS = ",".join([*NAMES, "log_likelihood"]) + "\n"
 
 
 def test_scores_are_of_each_sequence(directory):
@@ -74,9 +75,9 @@ def test_scores_are_of_each_sequence(directory):
         ("gospa.csv", HEADER + ROWS.replace("0.5", "half"), "could not convert string to float: 'half'"),
         ("gospa.csv", b"\xff" + ROWS.encode(), "UnicodeDecodeError"),
         ("variants.csv", VARIANTS, "0 rows for 2 sequences"),
-        ("variants.csv", VARIANTS + 3 * ("," * len(Parameters._fields) + "1\n"), "3 rows for 2 sequences"),
+        ("variants.csv", VARIANTS + 3 * ("," * len(NAMES) + "1\n"), "3 rows for 2 sequences"),
         ("variants.csv", "survival\n0.5\n", "expected one with the columns"),
-        ("variants.csv", VARIANTS + "{," + "," * (len(Parameters._fields) - 1) + "1\n", "JSONDecodeError"),
+        ("variants.csv", VARIANTS + "{," + "," * (len(NAMES) - 1) + "1\n", "JSONDecodeError"),
         ("metrics.json", "[" * 10**5, "RecursionError"),
         ("metrics.json", '{"a":' * 60 + "1" + "}" * 60, "more than 50 levels"),
         ("metrics.json", '{"a": "\\ud800", "seconds": 1}', "UnicodeEncodeError"),

@@ -19,7 +19,8 @@ from torchdt.filter.bp.configurations import (
 )
 from torchdt.filter.bp.messages import ObjectBelief
 from torchdt.filter.bp.schedule import update
-from torchdt.filter.state import Noise, Objects
+from torchdt.filter.state import Objects
+from torchdt.model.noise.base import Noise
 
 F64 = torch.float64
 

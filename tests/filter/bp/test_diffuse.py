@@ -16,9 +16,10 @@ from torchdt.field.build import waveguide
 from torchdt.field.mismatch import MismatchedField
 from torchdt.filter.bp.schedule import background, initial_beliefs, update
 from torchdt.filter.proposal.moved import diffuse_part, respond
-from torchdt.filter.state import Noise, Objects
+from torchdt.filter.state import Objects
 from torchdt.model.gamma_chain import uniform_prior
 from torchdt.model.measurement import from_snapshots
+from torchdt.model.noise.base import Noise
 
 F64, C128 = torch.float64, torch.complex128
 FIELD = Path(__file__).parents[2] / "conf" / "field" / "swellex96.yaml"

@@ -15,8 +15,9 @@ from torchdt.core.random import RandomStreams
 from torchdt.filter.bp.configurations import Configurations, UniformDraws, draw_configurations, labellings
 from torchdt.filter.bp.evidence import gaussian_evidence, sampled_evidence
 from torchdt.filter.bp.schedule import Beliefs, initial_beliefs, update
-from torchdt.filter.state import Noise, Objects
+from torchdt.filter.state import Objects
 from torchdt.model.measurement import from_snapshots
+from torchdt.model.noise.base import Noise
 
 F64 = torch.float64
 

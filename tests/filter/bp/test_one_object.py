@@ -16,8 +16,9 @@ from torchdt.filter.bp.configurations import UniformDraws, draw_configurations
 from torchdt.filter.bp.evidence import sampled_evidence
 from torchdt.filter.bp.schedule import initial_beliefs, update
 from torchdt.filter.proposal.moved import Draws, propose_adapted, respond
-from torchdt.filter.state import Noise, Objects
+from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement, from_snapshots
+from torchdt.model.noise.base import Noise
 
 F64 = torch.float64
 FIELD, REGION, PARTICLES, SAMPLES, RUNS = make_field(), make_region(), 5000, 256, 8

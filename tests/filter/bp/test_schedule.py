@@ -8,8 +8,9 @@ from oracles.enumeration import enumerate_pair
 from oracles.scenes import LEFT_RIGHT, SAME, TOUCHING, UNAMBIGUOUS, Scene, make_scene, unambiguous
 
 from torchdt.filter.bp.schedule import as_belief, strongest_first, update
-from torchdt.filter.state import Noise, Objects
+from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement
+from torchdt.model.noise.base import Noise
 
 
 def variation(a: np.ndarray, b: np.ndarray) -> float:

@@ -13,8 +13,9 @@ from torchdt.filter.bp.messages import state_message
 from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.bp.schedule import initial_beliefs
 from torchdt.filter.proposal.moved import Draws, propose_adapted, respond
-from torchdt.filter.state import Noise, Objects
+from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement, from_snapshots
+from torchdt.model.noise.base import Noise
 
 F64 = torch.float64
 FIELD, REGION, ETA, PARTICLES = make_field(), make_region(), 0.0125, 1000

@@ -15,9 +15,9 @@ from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.filter.proposal.moved import Draws, respond
 from torchdt.filter.proposal.newborn import propose_newborn, search
-from torchdt.filter.state import Noise
 from torchdt.model.gamma_chain import uniform_prior
 from torchdt.model.measurement import Measurement, from_snapshots, mask_covariance
+from torchdt.model.noise.base import Noise
 from torchdt.model.region import Coordinate, Region
 
 F64 = torch.float64

@@ -3,13 +3,8 @@ import math
 import pytest
 import torch
 
-from torchdt.model.motion.constant_velocity import (
-    condition_inside,
-    drop_outside,
-    predict_log_odds,
-    predict_moments,
-    predict_state,
-)
+from torchdt.model.existence import condition_inside, drop_outside, predict_log_odds
+from torchdt.model.motion.constant_velocity import predict_moments, predict_state
 from torchdt.model.region import Coordinate, Region
 
 

@@ -3,7 +3,7 @@
 import csv
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 from omegaconf import OmegaConf
 
 from torchdt.core.errors import InputError
-from torchdt.model.parameters import Parameters
 from torchdt.run.checkpoint import flatten
 
 SCORES = ("gospa", "localisation", "missed", "false")
@@ -110,7 +109,8 @@ def _read_variants(path: Path, run: Run) -> list[Run]:
     settings = {key: value for key, value in run.settings.items() if key != "variants"}
     runs: list[Run] = []
     with _reading(path, "a row for each variant, with its values"):
-        variants = _read_csv(path, (*Parameters._fields, "log_likelihood"))
+        variants = _read_csv(path, ("survival", "log_likelihood"))
+        names = [name for name in (variants or [{}])[0] if name not in ("variant", *SCORES, "log_likelihood")]
         asked = run.settings.get("variants")
         number = len(asked) if isinstance(asked, list) else len(variants)
         if not len(variants) == number > 0 or run.sequences % number:
@@ -118,13 +118,19 @@ def _read_variants(path: Path, run: Run) -> list[Run]:
             raise InputError.of_path(path, found, f"one for each of {number} variants")
         size = run.sequences // number
         for index, row in enumerate(variants):
-            own = {f"tracker.{name}": _value(row[name]) for name in Parameters._fields}
+            own = {_key_of(name, settings): _value(row[name]) for name in names}
             part = slice(index * size, (index + 1) * size)
             metrics = {name: values[part] for name, values in run.metrics.items()}
             likelihood = float(row["log_likelihood"])
             metrics |= {"log_likelihood": [likelihood]} if math.isfinite(likelihood) else {}
             runs.append(Run(settings | own, run.chosen | set(own), metrics, size))
     return runs
+
+
+def _key_of(name: str, settings: Mapping[str, object]) -> str:
+    """Key under which a run has a number of the model."""
+    held = (key for key in settings if key.startswith("model.") and key.endswith(f".{name}"))
+    return next(held, f"model.{name}")
 
 
 def _read_scores(path: Path, sequences: int, num_steps: int) -> dict[str, list[float]]:

@@ -16,10 +16,9 @@ from torch import Tensor
 
 import torchdt
 from torchdt.core.atomic import atomic_write, storing
-from torchdt.filter.config import TrackerConfig
 from torchdt.filter.history import TrackHistory
 from torchdt.metrics import Gospa
-from torchdt.model.parameters import Parameters
+from torchdt.model.model import Model
 
 WAVEGUIDE_COLUMNS = ("range_m", "depth_m", "range_rate_mps", "depth_rate_mps")
 
@@ -95,7 +94,7 @@ def seconds(times: Tensor) -> list[list[str]]:
 
 def write_variants_csv(
     path: str | os.PathLike[str],
-    variants: Sequence[TrackerConfig],
+    variants: Sequence[Model],
     history: TrackHistory,
     gospa: Gospa | None,
 ) -> None:
@@ -108,7 +107,7 @@ def write_variants_csv(
         history: batch shape `(V * B,)`, variant by variant.
         gospa: `(V * B, K)`, or None without truth: its cells are empty.
     """
-    names, parts = Parameters._fields, ("total", "localisation", "missed", "false")
+    names, parts = tuple(variants[0].all_quantities()), ("total", "localisation", "missed", "false")
     header = ("variant", *names, "gospa", *parts[1:], "log_likelihood")
 
     def means(values: Tensor) -> list[float]:
@@ -117,7 +116,7 @@ def write_variants_csv(
     scores = [[None] * len(variants) if gospa is None else means(getattr(gospa, part)) for part in parts]
     columns = zip(*scores, means(history.log_evidence.double().sum(-1)), strict=True)
     rows = (
-        (index, *(getattr(variant, name) for name in names), *row)
+        (index, *(variant.known().get(name) for name in names), *row)
         for index, (variant, row) in enumerate(zip(variants, columns, strict=True))
     )
     _write_csv(path, header, rows)

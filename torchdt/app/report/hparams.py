@@ -12,8 +12,8 @@ Scalar = bool | int | float | str
 def row_settings(config: Mapping[str, object], tracker: str, overrides: Sequence[str]) -> dict[str, Any]:
     """Settings of a run that its row shows, by the names they have on the command line.
 
-    They are the scenario, the tracker and all of its numbers, the seed, the number of runs, the dtype, and
-    whatever was given on the command line, for that is what differs between the jobs of a sweep.
+    They are the scenario, the tracker and the model with all of their numbers, the seed, the number of runs,
+    the dtype, and whatever was given on the command line: that is what differs between the jobs of a sweep.
 
     Args:
         config: resolved, of plain containers and values.
@@ -23,7 +23,9 @@ def row_settings(config: Mapping[str, object], tracker: str, overrides: Sequence
     flat = flatten(config)
     scalars = {name: value for name, value in flat.items() if isinstance(value, Scalar)}
     row = {"scenario": scalars["scenario.name"], "tracker": tracker}
-    row |= {name: v for name, v in scalars.items() if name in PLAIN or name.startswith("tracker.")}
+    row |= {
+        name: v for name, v in scalars.items() if name in PLAIN or name.startswith(("tracker.", "model."))
+    }
     for override in overrides:
         name, _, text = override.lstrip("+").partition("=")
         if not name.startswith(("~", "logging", "hydra")):

@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 from torchdt.app.report.events import EventReport
 from torchdt.app.report.figures import COLOURS
 from torchdt.core.atomic import atomic_write
+from torchdt.model.model import Model
 from torchdt.tuning.config import TuningConfig
 from torchdt.tuning.fields import ENVIRONMENT
 from torchdt.tuning.slices import Slice
@@ -80,17 +81,22 @@ def tuning_summary(
     }
 
 
-def write_tuned(path: str | os.PathLike[str], values: Values) -> None:
+def write_tuned(path: str | os.PathLike[str], values: Values, model: Model) -> None:
     """Write `tuned.yaml`, a configuration of `experiments/track.py` that differs by the tuned values alone.
 
     Args:
         path: where to write.
-        values: by name; departures of the environment go into the field, all others into the tracker.
+        values: by name; departures of the environment go into the field, a share of mismatch into the
+            tracker, all others into the model.
+        model: whose numbers they are.
     """
     path = Path(path)
     draw = {name: value for name, value in values.items() if name in ENVIRONMENT}
     content: dict[str, object] = {"defaults": ["track", "_self_"]}
-    content["tracker"] = {name: value for name, value in values.items() if name not in draw}
+    content["model"] = model.as_config(values)
+    rest = {n: value for n, value in values.items() if n not in draw and n not in model.all_quantities()}
+    if rest:
+        content["tracker"] = rest
     if draw:
         content["field"] = {"draw": draw}
         content["calibration"] = {"enabled": False}

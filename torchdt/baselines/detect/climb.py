@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchdt.core.trees import take
-from torchdt.model.motion.constant_velocity import drop_outside
+from torchdt.model.existence import drop_outside
 from torchdt.model.region import Region
 
 LEVELS = 6

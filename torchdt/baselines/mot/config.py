@@ -12,6 +12,8 @@ class PointConfig(ObjectConfig):
     """Conventional multiobject tracking of points.
 
     Attributes:
+        survival: p_s, probability to go on existing for one step.
+        birth_mean: mu_B, mean number of new objects per step in the whole region.
         detection_probability: p_D of an object in one step.
         clutter_mean: mu_c, mean number of false points per step, uniform in the whole region.
         spread: standard deviation of a point around its object, in birth cells, by name of the coordinate;
@@ -20,6 +22,7 @@ class PointConfig(ObjectConfig):
         tolerance: largest change of a message, in nats, at which the data association stops.
     """
 
+    survival: InnerProbability = 0.95
     # A new object starts at about birth_mean / clutter_mean, and must survive that.
     birth_mean: BirthMean = 1e-2
     prune: InnerProbability = 1e-4

@@ -8,13 +8,15 @@ import torch
 from torch import Tensor
 
 from torchdt.core.errors import require
+from torchdt.model.motion.base import Motion
+from torchdt.model.motion.constant_velocity import ConstantVelocity
 from torchdt.model.region import Region, per_coordinate
 
 
 class PointLikelihood(Protocol):
     """Any measurement model, given as its likelihood.
 
-    A point z has d_z coordinates, not necessarily those of a state x (D = 2 d: positions, then rates). All
+    A point z has d_z coordinates, not necessarily those of a state x (D: positions first). All
     densities over z are of the same measure. Values at points or states that mean nothing are not used, but
     none may be NaN.
     """
@@ -52,19 +54,19 @@ class PointLikelihood(Protocol):
 class GaussianPosition:
     """Points are positions of objects with Gaussian errors: `z = position + N(0, diag(spread^2))`.
 
-    False points and new objects are uniform in the region, rates of new objects uniform between the region's
-    limits.
+    False points and new objects are uniform in the region.
 
     Args:
         region: region of interest.
         spread: standard deviation for each coordinate, in its unit; None takes half a birth cell.
+        motion: of objects; None is constant velocity.
 
     Raises:
         InputError: where `spread` is not one number for each coordinate.
     """
 
-    def __init__(self, region: Region, spread: Sequence[float] | None = None):
-        self.region = region
+    def __init__(self, region: Region, spread: Sequence[float] | None = None, motion: Motion | None = None):
+        self.region, self.motion = region, ConstantVelocity() if motion is None else motion
         self.spread = per_coordinate(spread, region.cell / 2, "tracker.spread")
         self._log_volume = (region.high - region.low).log().sum()
         self._log_peak = -self.spread.log().sum() - 0.5 * region.num_coordinates * math.log(2 * math.pi)
@@ -91,9 +93,8 @@ class GaussianPosition:
         return -self._log_volume.expand(point.shape[:-1])
 
     def propose(self, point: Tensor, draws: Tensor) -> tuple[Tensor, Tensor]:
-        """Positions from N(z, spread^2), where f / q = 1; rates from their prior."""
+        """Positions from N(z, spread^2), where f / q = 1; all else from the motion."""
         region, d = self.region, self.region.num_coordinates
         position = point.unsqueeze(-2) + self.spread * draws[..., :d]
-        rate = torch.lerp(region.rate_low, region.rate_high, torch.special.ndtr(draws[..., d:]))
         log_weight = torch.where(region.contains(position), -self._log_volume, -torch.inf)
-        return torch.cat([position, rate], -1), log_weight
+        return self.motion.newborn(region, position, draws[..., d:]), log_weight

@@ -17,15 +17,17 @@ from torchdt.data.prepare import require_step
 from torchdt.filter.declare import declare, idle_particles, prune, put_idle, resample_particles
 from torchdt.filter.history import TrackHistory
 from torchdt.filter.slots import join, take_rows
-from torchdt.model.motion.constant_velocity import condition_inside, predict_log_odds, predict_state
-from torchdt.model.region import Region, per_coordinate
+from torchdt.model.existence import condition_inside, predict_log_odds
+from torchdt.model.motion.base import Motion
+from torchdt.model.motion.constant_velocity import ConstantVelocity
+from torchdt.model.region import Region
 
 
 class PointObjects(NamedTuple):
     """Beliefs about N potential objects; an empty slot has `log_odds` of minus infinity.
 
     Attributes:
-        particles: `(*batch, N, P, D)` d positions, then d rates.
+        particles: `(*batch, N, P, D)`, positions first.
         log_weight: `(*batch, N, P)` normalised log-weights.
         log_odds: `(*batch, N)` log p(exists) / p(does not).
         label: `(*batch, N)` int64, 0 until the object is first declared.
@@ -59,18 +61,23 @@ class PointTracker:
         step_s: time step in seconds.
         config: numbers of the model and the filter.
         likelihood: how points arise from objects and from clutter.
+        motion: of objects; None is constant velocity.
 
     Raises:
         InputError: where `step_s` is not positive or `driving_variance` not one number for each coordinate.
     """
 
-    def __init__(self, region: Region, step_s: float, config: PointConfig, likelihood: PointLikelihood):
+    def __init__(
+        self,
+        region: Region,
+        step_s: float,
+        config: PointConfig,
+        likelihood: PointLikelihood,
+        motion: Motion | None = None,
+    ):
         self.region, self.step_s = region, require_step(step_s)
         self.config, self.likelihood = config, likelihood
-        variance = per_coordinate(
-            config.driving_variance, region.driving_variance, "tracker.driving_variance"
-        )
-        self._driving = variance.sqrt()
+        self.motion = (ConstantVelocity() if motion is None else motion).on(region)
         self._idle = idle_particles(region, config.particles)
 
     def init(self, batch: Sequence[int], num_tones: int) -> PointState:
@@ -105,7 +112,9 @@ class PointTracker:
             NumericalError: where a likelihood is NaN or infinite.
         """
         cfg, size = self.config, self._idle.shape
-        driving = streams.normal(cfg.slots, cfg.particles, self.region.num_coordinates)
+        driving = streams.normal(
+            cfg.slots, cfg.particles, self.motion.num_driving(self.region.num_coordinates)
+        )
         proposed = streams.normal(points.present.shape[-1], *size)
         offset, jitter = streams.uniform(cfg.slots), streams.normal(cfg.slots, *size)
 
@@ -144,8 +153,8 @@ class PointTracker:
         """Move the objects; slots that are empty throughout the batch are left out."""
         dim, occupied = objects.log_odds.ndim - 1, _largest_number(objects)
         old = PointObjects(*(t.narrow(dim, 0, occupied) for t in objects))
-        driving = draws.narrow(dim, 0, occupied) * self._driving
-        particles = predict_state(old.particles, driving, self.step_s)
+        driving = draws.narrow(dim, 0, occupied)
+        particles, _ = self.motion.predict(old.particles, driving, self.step_s, "reparameterised")
         log_weight, log_inside = condition_inside(particles, old.log_weight, self.region)
         log_odds = predict_log_odds(old.log_odds, self.config.survival * log_inside.exp())
         return old._replace(particles=particles, log_weight=log_weight, log_odds=log_odds)

@@ -11,9 +11,17 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
+from torchdt.core.support import REAL, Quantity
 from torchdt.field.base import Field
 from torchdt.field.build import EnvironmentDraw
 from torchdt.field.waveguide.waveguide import NormalModeField, interpolate_modes
+
+ENVIRONMENT = {
+    "eof_coefficients": Quantity(REAL, vector=True),
+    "tilt_deg": Quantity(REAL),
+    "water_depth_m": Quantity(REAL),
+}
+"""What a likelihood can be differentiated in: changes of the environment from the nominal one."""
 
 _MODAL = ("_shapes", "_loss", "_cycles", "_receivers")
 

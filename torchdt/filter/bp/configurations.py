@@ -20,8 +20,9 @@ from torchdt.core.trees import put, take
 from torchdt.filter.bp.messages import ObjectBelief, object_belief
 from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.bp.schedule import Beliefs, as_belief, background
-from torchdt.filter.state import Noise, Objects
+from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement
+from torchdt.model.noise.base import Noise
 
 DOUBT = 0.01
 """Neither existence nor absence is drawn with a smaller probability: BP may be too sure of one of them."""

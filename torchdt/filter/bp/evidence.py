@@ -15,13 +15,14 @@ from torchdt.core.linalg import check_finite
 from torchdt.filter.bp.configurations import Configurations, log_probability
 from torchdt.filter.bp.moments import signal_covariance
 from torchdt.filter.bp.schedule import Beliefs, as_belief
-from torchdt.filter.state import Noise, Objects
+from torchdt.filter.state import Objects
 from torchdt.model.measurement import (
     Measurement,
     gaussian_log_likelihood,
     low_rank_log_likelihood,
     mask_covariance,
 )
+from torchdt.model.noise.base import Noise
 
 
 def gaussian_evidence(beliefs: Beliefs, measurement: Measurement) -> Tensor:

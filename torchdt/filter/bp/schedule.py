@@ -15,10 +15,11 @@ from torchdt.core.trees import put, take
 from torchdt.core.weights import weighted_mean
 from torchdt.filter.bp.messages import ObjectBelief, object_belief
 from torchdt.filter.bp.moments import response_moment, signal_covariance, signal_without_each, without
-from torchdt.filter.bp.noise import update_noise
 from torchdt.filter.bp.rank_one import whiten
-from torchdt.filter.state import Noise, Objects
+from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement, mask_covariance
+from torchdt.model.noise.base import Noise
+from torchdt.model.noise.white import update_noise
 
 
 class Beliefs(NamedTuple):

@@ -17,8 +17,8 @@ from torchdt.filter.bp.moments import response_moment
 from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.bp.schedule import Beliefs, as_belief, background, store
 from torchdt.filter.state import Objects
+from torchdt.model.existence import drop_outside
 from torchdt.model.measurement import Measurement
-from torchdt.model.motion.constant_velocity import drop_outside
 from torchdt.model.region import Region
 
 
@@ -27,7 +27,7 @@ class Draws(NamedTuple):
 
     Attributes:
         rounds: `(*batch, N, rounds, S, d)` for fitting.
-        final: `(*batch, N, P, 2 d)` for the particles.
+        final: `(*batch, N, P, D)` for the particles.
     """
 
     rounds: Tensor
@@ -75,7 +75,7 @@ def propose_adapted(
     """Redraw the particles of every object where prediction and likelihood meet.
 
     The prediction of an object enters through its mean and covariance. Positions come from a proposal fitted
-    to `N(position) * likelihood`, rates from the predicted Gaussian given the position, and the weight is
+    to `N(position) * likelihood`, all else from the predicted Gaussian given the position, and the weight is
     `N(position) / proposal(position)`, N cut off at the edge of the region: the likelihood is not part of it.
     Objects are visited in slot order, each against the newest beliefs of the others.
 
@@ -156,12 +156,12 @@ def draw_adapted(
     """Particles where a predicted Gaussian and a likelihood meet.
 
     Args:
-        log_likelihood: maps states `(*batch, S, 2 d)` to `(*batch, S)`.
-        predicted: of the state, D = 2 d.
+        log_likelihood: maps states `(*batch, S, D)` to `(*batch, S)`.
+        predicted: of the state.
         rounds: `(*batch, rounds, S, d)` standard normal draws.
-        final: `(*batch, P, 2 d)` standard normal draws.
+        final: `(*batch, P, D)` standard normal draws.
     """
-    d = final.shape[-1] // 2
+    d = rounds.shape[-1]
     prior = Gaussian(predicted.mean[..., :d], predicted.tril[..., :d, :d])
 
     # With L = [[A, 0], [B, C]] the rates given the position are N(m_v + B A^-1 (p - m_p), C C^T).
@@ -170,7 +170,8 @@ def draw_adapted(
         return torch.cat([position, predicted.sample(white)[..., d:]], -1), white
 
     def at_mean_rates(position: Tensor) -> Tensor:
-        return log_likelihood(with_rates(position, torch.zeros_like(position))[0])
+        middle = position.new_zeros(*position.shape[:-1], final.shape[-1] - d)
+        return log_likelihood(with_rates(position, middle)[0])
 
     mixture = adapt(at_mean_rates, prior, rounds.movedim(-3, 0))
     position = mixture.sample(final[..., :d])

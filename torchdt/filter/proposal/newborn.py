@@ -18,16 +18,17 @@ from torchdt.core.weights import weighted_mean
 from torchdt.field.base import BaseField, Field
 from torchdt.filter.bp.messages import state_message
 from torchdt.filter.bp.moments import signal_covariance, signal_without_each
-from torchdt.filter.bp.noise import update_noise
 from torchdt.filter.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics, whiten
 from torchdt.filter.proposal.dictionary import Dictionary
 from torchdt.filter.proposal.moved import Draws, respond
 from torchdt.filter.proposal.neighbourhood import cell_around, drop_foreign, grow, log_cells, place_of
 from torchdt.filter.proposal.strongest import strongest_cell
-from torchdt.filter.state import Noise, Objects
-from torchdt.model.gamma_chain import uniform_prior_around
+from torchdt.filter.state import Objects
+from torchdt.model.existence import drop_outside
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask_covariance
-from torchdt.model.motion.constant_velocity import drop_outside
+from torchdt.model.model import Model
+from torchdt.model.noise.base import Noise
+from torchdt.model.noise.white import update_noise
 from torchdt.model.region import Region
 
 UNSETTLED = 0.25
@@ -162,6 +163,7 @@ def propose_newborn(
     picks: Picks,
     noise: Noise,
     power_max: Tensor,
+    model: Model,
     power_points: int,
     log_odds: Tensor,
     draws: Draws,
@@ -170,14 +172,15 @@ def propose_newborn(
 ) -> tuple[Objects, Tensor]:
     """New objects around the picks, with particles where prior and likelihood meet.
 
-    The prior is uniform in the rates and, in position, over a box around the pick, see
+    The prior is uniform, in position, over a box around the pick, see
     `torchdt.filter.proposal.neighbourhood`; positions come from a proposal fitted to prior times likelihood,
     given the other picks, and are weighted by prior over proposal.
 
     Args:
         signal: `(*batch, I, M, M)` covariance of the known objects.
         noise: noise belief with known objects and picks explained.
-        power_max: `(*batch, I)` upper limit of the uniform prior of the powers.
+        power_max: `(*batch, I)` upper limit of the powers.
+        model: statistical model, for powers and states of new objects.
         power_points: number G of their support points.
         log_odds: `(*batch,)`, prior log-odds of an object in one cell.
         draws: at least as many as picks.
@@ -190,7 +193,7 @@ def propose_newborn(
     num = picks.active.shape[-1]
     rounds, final = draws.rounds[..., :num, :, :, :], draws.final[..., :num, :, :]
     maximum = power_max.unsqueeze(-2).expand_as(picks.scale)
-    power, log_power_weight = uniform_prior_around(picks.scale, maximum, power_points)
+    power, log_power_weight = model.power.newborn(picks.scale, maximum, power_points)
     others = signal.unsqueeze(-4) + signal_without_each(picks.power, picks.moment)
     if picks.diffuse is not None:
         others = others + picks.power[..., None, None] * picks.diffuse
@@ -210,12 +213,11 @@ def propose_newborn(
         places = place_of(mixture.fitted, prior)
     d = region.num_coordinates
     position = proposal.sample(final[..., :d])
-    rate = region.rate_low + (region.rate_high - region.rate_low) * torch.special.ndtr(final[..., d:])
     # Of all boxes the odds are those of one cell, so that none goes first for being large; the weights of a
     # box add up to the number of its cells instead.
     log_prior = prior.log_prob(position) + log_cells(prior, region)[..., None]
     log_weight = log_prior - proposal.log_prob(position) - math.log(final.shape[-2])
-    state = torch.cat([position, rate], -1)
+    state = model.motion.newborn(region, position, final[..., d:])
     log_weight = drop_outside(state, log_weight, region)
     log_weight = drop_foreign(position, log_weight, places, picks.active)
     odds = torch.where(picks.active, log_odds[..., None], -torch.inf)

@@ -6,7 +6,7 @@ import re
 import pytest
 import torch
 
-from torchdt.app.fields import build_field
+from torchdt.app.targets import build_field
 from torchdt.core.errors import InputError
 
 LINE = {

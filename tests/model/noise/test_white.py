@@ -2,9 +2,9 @@ import pytest
 import torch
 from oracles.arrays import complex_normal, direct_log_likelihood
 
-from torchdt.filter.bp.noise import update_noise
-from torchdt.filter.state import Noise
 from torchdt.model.measurement import from_snapshots
+from torchdt.model.noise.base import Noise
+from torchdt.model.noise.white import update_noise
 
 TONES, SNAPSHOTS, SENSORS, POINTS = 2, 3, 6, 9
 

@@ -1,0 +1,36 @@
+"""Powers as Gamma Markov chains, f(gamma | gamma') of Liang and Meyer, Sec. IV."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from torch import Tensor
+
+from torchdt.model.gamma_chain import SHAPE, predict_chain, uniform_prior, uniform_prior_around
+from torchdt.model.part import Number, Part, number, widen
+
+
+@dataclass(frozen=True)
+class GammaPower(Part):
+    """Each tone's power is uniform up to a limit when an object is born, and a Gamma chain from then on.
+
+    Attributes:
+        power_shape: c_gamma, shape of the Gamma transition, at least 1.
+    """
+
+    KEY: ClassVar[str] = "model.power"
+
+    power_shape: Number = number(1e4, SHAPE)
+
+    def initial(self, maximum: Tensor, num_points: int) -> tuple[Tensor, Tensor]:
+        """The uniform prior, see `uniform_prior`."""
+        return uniform_prior(maximum, num_points)
+
+    def newborn(self, scale: Tensor, maximum: Tensor, num_points: int) -> tuple[Tensor, Tensor]:
+        """The uniform prior where a likelihood lies, see `uniform_prior_around`."""
+        return uniform_prior_around(scale, maximum, num_points)
+
+    def predict(self, power: Tensor, log_weight: Tensor) -> tuple[Tensor, Tensor]:
+        """One Gamma transition, see `predict_chain`."""
+        return predict_chain(
+            power, log_weight, widen(self.power_shape, power.ndim - 1 - self.power_shape.ndim)
+        )
