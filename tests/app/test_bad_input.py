@@ -56,25 +56,24 @@ def test_what_the_schema_refuses(launch, override, words):
         ),
         *((f"tracker.{name}", "-3", "a positive integer") for name in ("rounds", "round_size")),
         *((f"tracker.{name}", "-3", "a positive integer") for name in ("power_points", "noise_points")),
-        *(
-            (f"tracker.{name}", "0.9", "a finite number of at least 1")
-            for name in ("power_shape", "noise_shape")
-        ),
-        ("tracker.power_shape", "inf", "a finite number of at least 1"),
-        ("tracker.birth_mean", "0.0", "a positive number"),
+        ("model.noise.noise_shape", "0.9", "a finite number of at least 1"),
+        ("model.survival", "0.0", "strictly between 0 and 1"),
+        ("model.survival", "1.5", "strictly between 0 and 1"),
+        ("model.power.power_shape", "inf", "a finite number of at least 1"),
+        ("model.birth.birth_mean", "0.0", "a positive number"),
         *((f"tracker.{name}", "0.0", "a positive number or null") for name in ("power_max", "noise_max")),
         *(
             (f"tracker.{name}", "0.0", "strictly between 0 and 1")
-            for name in ("survival", "declare", "prune")
+            for name in ("declare", "prune")
         ),
         *(
             (f"tracker.{name}", "1.5", "strictly between 0 and 1")
-            for name in ("survival", "declare", "prune")
+            for name in ("declare", "prune")
         ),
         *((f"tracker.{name}", "-0.1", "a number from 0 to 1") for name in ("roughening", "resample_below")),
         ("tracker.roughening", "nan", "a number from 0 to 1"),
-        ("tracker.likelihood_power", "0.0", "a number above 0, up to 1"),
-        ("tracker.likelihood_power", "1.1", "a number above 0, up to 1"),
+        ("model.likelihood_power", "0.0", "a number above 0, up to 1"),
+        ("model.likelihood_power", "1.1", "a number above 0, up to 1"),
         ("tracker.schedule", "zigzag", "sequential or flooding"),
         ("scenario.num_steps", "0", "a positive integer"),
         ("scenario.num_snapshots", "-1", "a positive integer"),

@@ -153,7 +153,7 @@ def test_variants_are_settings(tmp_path):
     track(tmp_path / "many", "variants=[{power_shape: 1e4},{likelihood_power: 0.1}]", "runs=2")
     track(tmp_path / "one", "seed=5")
     rows = rows_of(tmp_path)
-    name = "tracker.likelihood_power"
+    name = "model.likelihood_power"
     assert [row.setting for row in rows] == [{name: 1.0}, {name: 0.1}]
     assert [row.runs for row in rows] == [3, 2]
     with (tmp_path / "many" / "variants.csv").open(newline="") as file:

@@ -26,8 +26,9 @@ def test_default_configuration_is_the_paper_scenario(settings):
     assert s.field["freqs"] == [49, 79, 112, 148, 201, 283, 388]
     assert (s.scenario.num_steps, s.scenario.step_s, s.scenario.num_snapshots) == (292, 3 * 2048 / 1500, 3)
     tracker = s.tracker
-    assert (tracker.survival, tracker.birth_mean, tracker.declare, tracker.prune) == (0.95, 1e-4, 0.5, 1e-2)
-    assert (tracker.power_shape, tracker.noise_shape, tracker.births) == (1e4, 1e2, 10)
+    assert (tracker.declare, tracker.prune, tracker.births) == (0.5, 1e-2, 10)
+    numbers = {"survival": 0.95, "birth_mean": 1e-4, "power_shape": 1e4, "noise_shape": 1e2}
+    assert s.statistical_model.known() == numbers | {"likelihood_power": 1.0}
     assert (s.scenario.gospa_cutoff, s.scenario.gospa_order) == (200, 1)
 
 

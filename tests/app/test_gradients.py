@@ -4,7 +4,7 @@ import math
 import pytest
 from oracles.scripts import call, load
 
-SMALL = ("train_seeds=[3,4]", "scenario.num_steps=6", "tracker.particles=60", "tracker.birth_mean=0.1")
+SMALL = ("train_seeds=[3,4]", "scenario.num_steps=6", "tracker.particles=60", "model.birth.birth_mean=0.1")
 
 
 def run(tmp_path, *arguments):

@@ -24,7 +24,7 @@ STARTS = {
         *("tune", *SMALL, "logging=quiet", "train_seeds=[0]", "heldout_seeds=[1]"),
         *("tuning.steps=1", "tuning.slice_points=0"),
     ),
-    "sweep": ("track", *SMALL, "tracker.particles=50,60", "tracker.survival=0.9", "seed=0"),
+    "sweep": ("track", *SMALL, "tracker.particles=50,60", "model.survival=0.9", "seed=0"),
 }
 RESULTS = {
     "paper": "metrics.json",

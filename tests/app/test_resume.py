@@ -226,7 +226,7 @@ def test_a_finished_run_whose_tables_are_gone_is_run_again(start, tmp_path, whol
     [
         (["seed=1"], "key 'seed': found 1, expected 0, as in"),
         (["tracker=mp_bp", "runs=2"], "key 'tracker': found mp_bp, expected direct, as in"),
-        (["tracker.survival=0.9"], "key 'tracker.survival': found 0.9, expected 0.95, as in"),
+        (["model.survival=0.9"], "key 'model.survival': found 0.9, expected 0.95, as in"),
         (["scenario.num_steps=6"], "key 'scenario.num_steps': found 6, expected 5, as in"),
         (["dtype=float64"], "key 'dtype': found float64, expected float32, as in"),
         (["runs=1"], "key 'runs': found 1, expected 2, as in"),

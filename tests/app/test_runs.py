@@ -53,7 +53,7 @@ def test_sources_are_found(launch):
     [
         ("dtype=float64", 5),
         ("tracker.schedule=flooding", 20),  # the same as sequential until the second source is born
-        ("tracker.likelihood_power=0.5", 5),
+        ("model.likelihood_power=0.5", 5),
         ("scenario.amplitudes=constant_modulus", 5),
         ("tracker.power_max=5", 5),
     ],

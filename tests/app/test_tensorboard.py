@@ -83,7 +83,7 @@ def test_charts(direct, points):
 
 def test_a_row_for_each_job(direct, points):
     for events, tracker, particular in (
-        (direct, "direct", {"tracker.power_shape": 1e4, "tracker.likelihood_power": 1.0}),
+        (direct, "direct", {"model.power.power_shape": 1e4, "model.likelihood_power": 1.0}),
         (points, "mp_bp", {"tracker.detection_probability": 0.9}),
     ):
         row = hparams(events)

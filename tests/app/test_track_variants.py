@@ -22,8 +22,8 @@ def run(launch):
 def alone(launch):
     """The settings one by one."""
     settings = [
-        ("tracker.survival=0.9",),
-        ("tracker.survival=0.99", "tracker.birth_mean=1e-2", "tracker.driving_variance=[1e-2]"),
+        ("model.survival=0.9",),
+        ("model.survival=0.99", "model.birth.birth_mean=1e-2", "model.motion.driving_variance=[1e-2]"),
     ]
     return [launch(*values, *LONG) for values in settings]
 

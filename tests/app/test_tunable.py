@@ -33,7 +33,7 @@ def test_it_starts_as_configured():
         *("scenario=matched_20", "calibration=none", "field.freqs=[49,79]", "scenario.num_snapshots=40"),
         "+field.draw={eof_coefficients:[0.5],tilt_deg:0.3,water_depth_m:1.2}",
         "tracker.mismatch_share=[0.02,0.03]",
-        "tracker.effective_count=25",
+        "model.effective_count=25",
     )
     simulated = gather(chosen, [0], [], pad=False)
     z = simulated.recording.snapshots

@@ -56,7 +56,7 @@ def test_the_true_number_is_learned(tmp_path, paths):
     learned = yaml.safe_load((tmp_path / "tuned.yaml").read_text())["tracker"]["effective_count"]
     assert learned == pytest.approx(TRUE, rel=0.4)
     # The tuned configuration is one of tracking.
-    again = settings("track", "data=npz", f"data.path={paths[0]}", f"tracker.effective_count={learned}")
+    again = settings("track", "data=npz", f"data.path={paths[0]}", f"model.effective_count={learned}")
     assert again.direct.effective_count == learned
 
 

@@ -32,10 +32,10 @@ def test_settings_of_a_two_step_tracker(tmp_path):
     [
         ("field: {_target_: torch.load, f: evil.pt}", "field._target_"),
         ("field: {draw: {tilt_deg: {_target_: evil.run}}}", "field.draw.tilt_deg._target_"),
-        ("tracker: {driving_variance: [1.0, '${oc.env:HOME}']}", "tracker.driving_variance"),
+        ("model: {motion: {driving_variance: [1.0, '${oc.env:HOME}']}}", "model.motion.driving_variance"),
         ("hydra: {callbacks: {evil: {_target_: evil.Callback}}}", "hydra"),
         ("defaults: [track, evil, _self_]", "defaults"),
-        ("tracker: {survival: high}", "tracker.survival"),
+        ("model: {survival: high}", "model.survival"),
     ],
 )
 def test_anything_but_numbers_is_refused_before_hydra_starts(tmp_path, line, key):

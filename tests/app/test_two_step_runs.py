@@ -101,8 +101,8 @@ def fails(status, message, words):
         ),
         (
             "mp_bp",
-            "tracker.driving_variance=[1,2]",
-            ("key 'tracker.driving_variance'", "[1.0, 2.0]", "for each of 1"),
+            "model.motion.driving_variance=[1,2]",
+            ("key 'model.motion.driving_variance'", "[1.0, 2.0]", "for each of 1"),
         ),
         (
             "mp_bp",

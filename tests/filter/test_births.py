@@ -45,9 +45,9 @@ def step(measurement: Measurement, cell: float, **config) -> tuple[TrackHistory,
         SMALL | {"particles": 500, "round_size": 128, "power_points": 24, "evidence_samples": 256} | config
     )
     region = Region([Coordinate(**(BEARING | {"cell": cell}))], F64)
-    tracker = DirectTracker(FIELD, region, 1.0, TrackerConfig(**settings, birth_mean=BIRTH_MEAN))
-    log_mean = tracker.model.birth_mean.log().requires_grad_()
-    tracker = tracker.with_model(tracker.model._replace(birth_mean=log_mean.exp()))
+    tracker = DirectTracker(FIELD, region, 1.0, TrackerConfig(**settings))
+    log_mean = torch.tensor(BIRTH_MEAN, dtype=F64).log().requires_grad_()
+    tracker = tracker.with_model(tracker.model.with_numbers({"birth_mean": log_mean.exp()}))
     limit = torch.full((runs, 2), LIMIT, dtype=F64)
     priors = Priors(limit, limit)
     variance = torch.full((runs, 2, SMALL["noise_points"]), ETA, dtype=F64)

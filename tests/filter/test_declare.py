@@ -210,4 +210,4 @@ def test_idle_particles_span_the_region(dtype):
     assert idle.dtype == dtype
     assert idle.shape == (50, 2)
     assert region.contains(idle).all()
-    assert idle[[0, -1]].tolist() == [[-70.0, -1.0], [70.0, 1.0]]
+    assert idle[[0, -1]].tolist() == [[-70.0, 0.0], [70.0, 0.0]]

@@ -319,18 +319,18 @@ def test_some_sequences_share_what_all_share():
     tracker = make_tracker()
     part = tracker.select(slice(1, 3))
     assert part.dictionary is tracker.dictionary
-    assert part.parameters == tracker.model
+    assert part.model == tracker.model
 
 
 def test_some_sequences_have_fields_and_numbers_of_their_own():
     plain = make_tracker()
     fields = [LineArrayField(FREQS, POSITIONS, c, dtype=torch.float64) for c in (1500.0, 1400.0, 1600.0)]
     survival = torch.tensor([0.5, 0.6, 0.7], dtype=torch.float64)
-    numbers = plain.parameters._replace(survival=survival)
+    numbers = plain.model.with_numbers({"survival": survival})
     tracker = DirectTracker(StackedField(fields), plain.region, 1.0, plain.config, numbers)
     part = tracker.select(slice(1, 3))
     assert part.field.field.fields == tuple(fields[1:])
-    assert part.parameters.survival.tolist() == [0.6, 0.7]
+    assert part.model.survival.tolist() == [0.6, 0.7]
     assert torch.equal(part.dictionary.response, tracker.dictionary.response[1:])
 
 

@@ -10,7 +10,6 @@ from torchdt.core.errors import InputError
 from torchdt.core.random import RandomStreams
 from torchdt.data.prepare import prepare
 from torchdt.data.recording import validate
-from torchdt.filter.config import TrackerConfig
 from torchdt.filter.history import TrackHistory
 from torchdt.model.measurement import Measurement, from_covariance
 from torchdt.model.prior import data_priors
@@ -89,6 +88,5 @@ def test_the_true_number_is_the_likeliest(measurement):
 
 def test_snapshots_have_a_known_number(covariance):
     recording = validate(snapshots=torch.randn(3, 2, 4, 8, dtype=torch.complex128), step_s=1.0)
-    config = TrackerConfig(effective_count=20.0)
-    with pytest.raises(InputError, match=r"'tracker.effective_count': found 20.0, expected null"):
-        prepare(recording, make_field(), make_region(), config)
+    with pytest.raises(InputError, match=r"'model.effective_count': found 20.0, expected null"):
+        prepare(recording, make_field(), make_region(), effective_count=20.0)

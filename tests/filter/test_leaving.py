@@ -18,6 +18,7 @@ from torchdt.filter.direct import DirectTracker
 from torchdt.filter.proposal.moved import respond
 from torchdt.filter.state import TrackerState
 from torchdt.model.measurement import Measurement, from_snapshots, mask_covariance
+from torchdt.model.model import Model
 from torchdt.model.noise.base import Noise
 from torchdt.model.prior import Priors
 from torchdt.model.region import Coordinate, Region
@@ -78,15 +79,10 @@ def started(tracker: DirectTracker, priors: Priors) -> TrackerState:
 
 def tracked(measurement: Measurement, survival: Tensor, proposal: str) -> Tensor:
     """Evidence over noise alone of several runs of the tracker, `(RUNS, K)`."""
-    config = TrackerConfig(
-        **(SMALL | {"particles": PARTICLES, "evidence_samples": 256, "prune": 1e-9}),
-        power_shape=1e8,
-        noise_shape=1e8,
-        birth_mean=1e-15,
-        proposal=proposal,
-    )
-    tracker = DirectTracker(FIELD, REGION, 1.0, config)
-    tracker = tracker.with_model(tracker.model.with_numbers({"survival": survival}))
+    settings = SMALL | {"particles": PARTICLES, "evidence_samples": 256, "prune": 1e-9}
+    config = TrackerConfig(**settings, proposal=proposal)
+    numbers = {"power_shape": 1e8, "noise_shape": 1e8, "birth_mean": 1e-15, "survival": survival}
+    tracker = DirectTracker(FIELD, REGION, 1.0, config, Model().with_numbers(numbers))
     limit = torch.full((RUNS, 2), 1.0, dtype=F64)
     priors, streams = Priors(limit, limit), RandomStreams.from_seeds(range(RUNS), (RUNS,), F64)
     state, found = started(tracker, priors), []

@@ -64,7 +64,7 @@ def differentiate(
     seeds: Sequence[int] = (1, 2),
     **options: int | None,
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Evidence `(B, K)`, and the gradient of its sum in every number of the model; zero where there is none."""
+    """Evidence `(B, K)`, and the gradient of its sum in each number of the model, zero where none."""
     at = model(tracker.region.low.dtype) if at is None else at
     leaves = {name: value.clone().requires_grad_() for name, value in at.known().items()}
     found = evaluate(tracker.with_model(at.with_numbers(leaves)), measurement, seeds, **options)

@@ -212,15 +212,15 @@ def test_sequences_keep_numbers_and_fields_of_their_own(five, own_fields):
     """The third of five, in a chunk of its own, beside the same sequence alone."""
     tracker = make_tracker()
     survival = torch.tensor([0.5, 0.6, 0.7, 0.8, 0.9], dtype=torch.float64)
-    parameters = tracker.model.with_numbers({"survival": survival})
-    stacked = DirectTracker(own_fields, tracker.region, 1.0, tracker.config, parameters)
+    model = tracker.model.with_numbers({"survival": survival})
+    stacked = DirectTracker(own_fields, tracker.region, 1.0, tracker.config, model)
     history = track(five, stacked, SEEDS, memory_gb=gigabytes(stacked, five, 1))
     one = DirectTracker(
         own_fields.fields[2],
         tracker.region,
         1.0,
         tracker.config,
-        parameters._replace(survival=survival[2]),
+        model.with_numbers({"survival": survival[2]}),
     )
     alone = track(five.select(slice(2, 3)), one, SEEDS[2:3])
     found = TrackHistory(*(t[2:3] for t in history))

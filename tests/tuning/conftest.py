@@ -4,7 +4,9 @@ import pytest
 import torch
 
 from torchdt.core.linalg import NumericalError
+from torchdt.field.mismatch import MISMATCH_SHARE
 from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings
+from torchdt.model.model import Model
 
 OPTIMUM = {"survival": 0.9, "birth_mean": 1e-2, "mismatch_share": [0.2, 0.05]}
 START = {"survival": 0.6, "birth_mean": 4e-2, "mismatch_share": [0.1, 0.1]}
@@ -46,7 +48,9 @@ def make():
     def make(*names, **entries):
         """Hyperparameters that start at START, or as these settings say."""
         settings = {name: HyperparameterSettings(start=START[name]) for name in names or START}
-        return Hyperparameters({**settings, **entries}, START)
+        known = Model().all_quantities() | {"mismatch_share": MISMATCH_SHARE}
+        quantities = {name: known[name]._replace(value=value) for name, value in START.items()}
+        return Hyperparameters({**settings, **entries}, quantities)
 
     return make
 

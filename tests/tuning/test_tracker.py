@@ -7,6 +7,7 @@ from torchdt.data.prepare import prepare
 from torchdt.data.recording import validate
 from torchdt.filter.config import TrackerConfig
 from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings
+from torchdt.model.model import Model
 from torchdt.run.track import derive_seed
 from torchdt.tuning.sequences import stack_recordings
 from torchdt.tuning.tracker import TrackerFamily, TrackerObjective
@@ -17,7 +18,7 @@ PATH = ((0.0, -20.0), (10.0, -15.0))
 @pytest.fixture(scope="module")
 def family():
     field, config = make_field(), TrackerConfig(**SMALL)
-    return TrackerFamily(lambda values: field, make_region(), 1.0, config)
+    return TrackerFamily(lambda values: field, make_region(), 1.0, config, Model())
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +35,8 @@ def objective(family, recordings, seeds, **options):
 
 def values(**starts):
     hyperparameters = Hyperparameters(
-        {name: HyperparameterSettings(start=start) for name, start in starts.items()}, {}
+        {name: HyperparameterSettings(start=start) for name, start in starts.items()},
+        Model().all_quantities(),
     )
     return hyperparameters, hyperparameters()
 

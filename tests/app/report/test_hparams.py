@@ -36,7 +36,7 @@ def test_what_the_command_line_set():
         "scenario=line_array",
         "tracker.particles=300",
         "scenario.snr_db=10",
-        "tracker.driving_variance=[1.0]",
+        "model.motion.driving_variance=[1.0]",
         "+data.path=null",
         "field=mine",
         "~scenario.sources.moving",
@@ -47,7 +47,7 @@ def test_what_the_command_line_set():
     # Numbers as numbers; what is no scalar, as it was given.
     more = {
         "scenario.snr_db": 10.0,
-        "tracker.driving_variance": "[1.0]",
+        "model.motion.driving_variance": "[1.0]",
         "data.path": "null",
         "field": "mine",
     }

@@ -22,7 +22,7 @@ from torchdt.model.measurement import from_snapshots
 from torchdt.model.noise.base import Noise
 
 F64, C128 = torch.float64, torch.complex128
-FIELD = Path(__file__).parents[2] / "conf" / "field" / "swellex96.yaml"
+FIELD = Path(__file__).parents[3] / "conf" / "field" / "swellex96.yaml"
 TONES, SNAPSHOTS, SHARE = (49.0, 148.0, 283.0), 3, 0.15
 SOURCE, OTHER = (2812.0, 57.0), (3325.0, 41.0)
 SCHEDULES = pytest.mark.parametrize("schedule", ["sequential", "flooding"])

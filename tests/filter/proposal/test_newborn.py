@@ -17,13 +17,14 @@ from torchdt.filter.proposal.moved import Draws, respond
 from torchdt.filter.proposal.newborn import propose_newborn, search
 from torchdt.model.gamma_chain import uniform_prior
 from torchdt.model.measurement import Measurement, from_snapshots, mask_covariance
+from torchdt.model.model import Model
 from torchdt.model.noise.base import Noise
 from torchdt.model.region import Coordinate, Region
 
 F64 = torch.float64
 ETA, SNAPSHOTS, THRESHOLD, PICKS = 0.0125, 6, 9.0, 4
 ODDS = torch.tensor(-10.0, dtype=F64)
-FIELD, REGION = make_field(), make_region()
+FIELD, REGION, MODEL = make_field(), make_region(), Model()
 DICTIONARY = build_dictionary(FIELD, REGION)
 
 
@@ -136,7 +137,7 @@ def test_evidence_agrees_with_quadrature(bearing, power, cell):
     streams = RandomStreams.from_seeds(range(50, 50 + runs), (runs,), F64)
     draws = Draws(streams.normal(1, 4, 128, 1), streams.normal(1, 500, 2))
     signal = torch.zeros(runs, 2, 8, 8, dtype=torch.complex128)
-    new, response = propose_newborn(FIELD, region, data, signal, picks, noise, limit, 16, ODDS, draws)
+    new, response = propose_newborn(FIELD, region, data, signal, picks, noise, limit, MODEL, 16, ODDS, draws)
     whitener = whiten(data, mask_covariance(signal, noise.mean, data.present))
     message = state_message(whitener, response[:, 0], new.power[:, 0], new.log_power_weight[:, 0])
     found = (new.log_odds + (new.log_weight + message[:, None]).logsumexp(-1))[:, 0] - ODDS
@@ -158,7 +159,7 @@ def test_particles_sit_where_the_source_is():
     streams = RandomStreams.from_seeds([1], (1,), F64)
     draws = Draws(streams.normal(PICKS, 4, 128, 1), streams.normal(PICKS, 500, 2))
     signal = torch.zeros(1, 2, 8, 8, dtype=torch.complex128)
-    new, response = propose_newborn(FIELD, REGION, data, signal, picks, noise, limit, 16, ODDS, draws)
+    new, response = propose_newborn(FIELD, REGION, data, signal, picks, noise, limit, MODEL, 16, ODDS, draws)
     assert new.state.shape == (1, 2, 500, 2)
     for q in range(2):
         outer = picks.power[0, 1 - q][:, None, None] * picks.moment[0, 1 - q]
@@ -193,7 +194,7 @@ def test_nothing_is_born_outside_a_bounded_region(eastward, adapted):
     draws = Draws(streams.normal(1, 4, 64, 2), streams.normal(1, 300, 4))
     limit = torch.full((3, 2), 50.0, dtype=F64)
     new, response = propose_newborn(
-        field, region, data, signal, picks, noise, limit, 20, ODDS, draws, adapted=adapted
+        field, region, data, signal, picks, noise, limit, MODEL, 20, ODDS, draws, adapted=adapted
     )
     outside = ~region.contains(new.state)
     assert outside.any()  # particles there are, without weight
@@ -236,7 +237,7 @@ def test_rates_of_new_objects_fill_their_range():
     streams = RandomStreams.from_seeds([1], (1,), F64)
     draws = Draws(streams.normal(1, 4, 128, 1), streams.normal(1, 500, 2))
     signal, limit = torch.zeros(1, 2, 8, 8, dtype=torch.complex128), torch.full((1, 2), 9.0, dtype=F64)
-    new, _ = propose_newborn(FIELD, REGION, data, signal, picks, noise, limit, 16, ODDS, draws)
+    new, _ = propose_newborn(FIELD, REGION, data, signal, picks, noise, limit, MODEL, 16, ODDS, draws)
     rate = new.state[..., 1]
     assert rate.min() < -0.9
     assert rate.max() > 0.9
