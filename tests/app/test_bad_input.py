@@ -62,14 +62,8 @@ def test_what_the_schema_refuses(launch, override, words):
         ("model.power.power_shape", "inf", "a finite number of at least 1"),
         ("model.birth.birth_mean", "0.0", "a positive number"),
         *((f"tracker.{name}", "0.0", "a positive number or null") for name in ("power_max", "noise_max")),
-        *(
-            (f"tracker.{name}", "0.0", "strictly between 0 and 1")
-            for name in ("declare", "prune")
-        ),
-        *(
-            (f"tracker.{name}", "1.5", "strictly between 0 and 1")
-            for name in ("declare", "prune")
-        ),
+        *((f"tracker.{name}", "0.0", "strictly between 0 and 1") for name in ("declare", "prune")),
+        *((f"tracker.{name}", "1.5", "strictly between 0 and 1") for name in ("declare", "prune")),
         *((f"tracker.{name}", "-0.1", "a number from 0 to 1") for name in ("roughening", "resample_below")),
         ("tracker.roughening", "nan", "a number from 0 to 1"),
         ("model.likelihood_power", "0.0", "a number above 0, up to 1"),

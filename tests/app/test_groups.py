@@ -18,6 +18,7 @@ from torchdt.app.settings import settings_of
 from torchdt.app.sweep import SweepReport
 from torchdt.app.tunable import build_problem, gather
 from torchdt.calibration.environment import CalibrationConfig
+from torchdt.run.track import track
 
 SHORT = ("scenario.num_steps=2", "logging=quiet")
 
@@ -58,6 +59,7 @@ def line():
 
 def test_no_group_is_forgotten():
     groups = {path.parent.relative_to(c).as_posix() for c in CONF for path in c.glob("*/**/*.yaml")}
+    groups = {name.partition("/")[0] if name.startswith("model/") else name for name in groups}
     here = {name.removeprefix("test_").replace("hydra_", "hydra/") for name in globals()}
     assert groups - {"experiment", "hydra/help"} <= here  # these two have files of their own
 
@@ -87,6 +89,19 @@ def test_scenario(build, monkeypatch, name):
 def test_tracker(line, name):
     tracker = build_tracker(settings("scenario=line_array", f"tracker={name}", *SHORT), line)
     assert tracker.select(slice(0, 1)).region.num_coordinates == 1
+
+
+@pytest.mark.parametrize(
+    "part", sorted(path.relative_to(CONF[0]).as_posix() for path in CONF[0].glob("model/*/*.yaml"))
+)
+def test_model(line, part):
+    """Each part of the model tracks a step in the place of the default one."""
+    group, name = part.removesuffix(".yaml").rsplit("/", 1)
+    chosen = settings("scenario=line_array", f"{group}={name}", *SHORT)
+    tracker = build_tracker(chosen, line)
+    history = track(line, tracker, [0])
+    assert history.log_evidence.isfinite().all()
+    assert set(chosen.statistical_model.known()) <= set(tracker.model.known())
 
 
 @pytest.mark.parametrize("name", options("calibration"))

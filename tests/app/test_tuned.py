@@ -6,6 +6,7 @@ from oracles.scripts import call, load
 from torchdt.app.report.tuning import write_tuned
 from torchdt.app.tuned import check_tuned
 from torchdt.core.errors import InputError
+from torchdt.model.model import Model
 
 VALUES = {"survival": 0.9, "driving_variance": [1e-05, 2.0], "tilt_deg": 0.5, "eof_coefficients": [0.1, -2.0]}
 
@@ -13,7 +14,7 @@ VALUES = {"survival": 0.9, "driving_variance": [1e-05, 2.0], "tilt_deg": 0.5, "e
 @pytest.fixture
 def tuned(tmp_path):
     path = tmp_path / "tuned.yaml"
-    write_tuned(path, VALUES)
+    write_tuned(path, VALUES, Model())
     return path
 
 

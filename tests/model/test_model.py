@@ -1,4 +1,5 @@
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -145,6 +146,26 @@ def test_a_count_left_to_the_data_stays_so_in_all_settings_or_in_none():
     assert stack_models([other, other], 2).select(slice(0, 1)).effective_count is None
     with pytest.raises(InputError, match="'effective_count': found 1 of 2 settings with a value, expected"):
         stack_models([one, other], 2)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        *(
+            (f"model.{part}.{part}_shape", bad, "a finite number of at least 1")
+            for part in ("power", "noise")
+            for bad in (0.0, 0.99, math.inf)
+        ),
+        *(("model.birth.birth_mean", bad, "a positive number") for bad in (0.0, math.inf, True, "many")),
+        *(("model.survival", bad, "a probability strictly between 0 and 1") for bad in (0.0, 1.0, None)),
+        *(("model.likelihood_power", bad, "a number above 0, up to 1") for bad in (0.0, 1.1)),
+        ("model.motion.driving_variance", 1.0, "a list, each entry a positive number"),
+        ("model.effective_count", -1.0, "a positive number"),
+    ],
+)
+def test_a_number_out_of_range_is_named(key, value, expected):
+    with pytest.raises(InputError, match=f"key '{key}': found {value}, expected {expected}"):
+        Model().with_numbers({key.rpartition(".")[2]: value})
 
 
 @pytest.mark.parametrize("name", ["power_shape", "noise_shape"])

@@ -180,20 +180,15 @@ def test_whether_environments_match(settings, matched):
 
 
 COUNTS = ("slots", "particles", "power_points", "noise_points", "births", "sweeps", "rounds", "round_size")
-SHAPES = ("power_shape", "noise_shape")
 
 
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
     [
         *((name, 0, "a positive integer") for name in COUNTS),
-        *((name, bad, "a finite number of at least 1") for name in SHAPES for bad in (0.0, 0.99, math.inf)),
-        *(("birth_mean", bad, "a positive number") for bad in (0.0, math.inf)),
         *((name, 0.0, "a positive number or null") for name in ("power_max", "noise_max")),
-        *((name, 1.0, "a probability strictly between 0 and 1") for name in ("survival", "declare", "prune")),
+        *((name, 1.0, "a probability strictly between 0 and 1") for name in ("declare", "prune")),
         *((name, 1.5, "a number from 0 to 1") for name in ("roughening", "resample_below")),
-        ("likelihood_power", 0.0, "a number above 0, up to 1"),
-        ("likelihood_power", 1.1, "a number above 0, up to 1"),
         ("schedule", "random", "sequential or flooding"),
         ("proposal", "random", "adapted or prior"),
     ],

@@ -25,7 +25,7 @@ def log_likelihood(
 ) -> Tensor:
     """Evidence of every step, `log p(z_k | z_1..k-1)`; its sum over the steps is the log-likelihood.
 
-    Gradients reach `tracker.parameters` and what the tracker's field is made of. What they cost in memory is
+    Gradients reach the numbers of `tracker.model` and what the field is made of. What they cost in memory is
     set by `block`: only the state between blocks is kept, and each block runs again when its gradient is
     taken (Chen et al., "Training deep nets with sublinear memory cost", 2016). About the square root of the
     number of steps needs least.

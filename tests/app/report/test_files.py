@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from torchdt.app.report import files
-from torchdt.filter.config import TrackerConfig
+from torchdt.model.model import Model
+from torchdt.model.motion.constant_velocity import ConstantVelocity
 
 
 def rows(path):
@@ -112,10 +113,10 @@ def test_metrics_json_holds_no_nan(tmp_path, history):
 def test_variants_csv(tmp_path, history, score, scored):
     """Two variants of one run each: what is written is the mean over its six steps."""
     path = tmp_path / "variants.csv"
-    variants = [TrackerConfig(), TrackerConfig(survival=0.5, driving_variance=[1e-3, 2.0])]
+    variants = [Model(), Model(survival=0.5, motion=ConstantVelocity([1e-3, 2.0]))]
     files.write_variants_csv(path, variants, history, score if scored else None)
     assert path.read_text().splitlines()[0] == (
-        "variant,power_shape,noise_shape,survival,birth_mean,driving_variance,likelihood_power,effective_count,"
+        "variant,survival,likelihood_power,effective_count,driving_variance,power_shape,noise_shape,birth_mean,"
         "gospa,localisation,missed,false,log_likelihood"
     )
     first, second = rows(path)

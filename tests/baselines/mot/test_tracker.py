@@ -26,7 +26,6 @@ from oracles.points import (
 )
 
 from torchdt.baselines.detect.points import Points
-from torchdt.core.errors import InputError
 from torchdt.core.linalg import NumericalError
 from torchdt.core.random import RandomStreams
 from torchdt.filter.history import TrackHistory
@@ -216,11 +215,3 @@ def test_a_point_that_is_no_number_is_an_error():
     position[0, 1, 0, 1] = torch.nan
     with pytest.raises(NumericalError, match="likelihood of a point"):
         run(make_tracker(), points._replace(position=position), [1])
-
-
-def test_driving_variance_needs_one_number_for_each_coordinate():
-    with pytest.raises(
-        InputError, match=r"'tracker\.driving_variance': found \[1.0\].*one number for each of 2"
-    ):
-        make_tracker(driving_variance=[1.0])
-    assert make_tracker(driving_variance=[4.0, 9.0])._driving.tolist() == [2.0, 3.0]
