@@ -14,7 +14,7 @@ from benchmarks.clock import clock
 from benchmarks.memory import probe
 from benchmarks.oracle import load_oracle
 from benchmarks.report import HIGH, Measured, Plain, plain_rows
-from torchdt.baselines.detect.peaks import find_peaks
+from torchdt.baselines.detect.peaks import Grid, find_peaks
 from torchdt.baselines.detect.sbl import SparseBayesianLearning
 from torchdt.baselines.detect.spectrum import sparse_spectrum
 from torchdt.model.measurement import Measurement
@@ -80,8 +80,9 @@ def beside_matrix_products(detector: SparseBayesianLearning, step: Measurement) 
     learn = partial(ORACLE.learn, *problem, grid, config.sources)
     learn(max_iterations=1)
     seconds, learned = clock(partial(learn, **limits))
-    own = sparse_spectrum(detector.dictionary.response, step, grid, config)
-    peaks = (high_peaks(power, grid) for power in (torch.from_numpy(learned.power), own.power))
+    layout = Grid.of(detector.region)
+    own = sparse_spectrum(detector.dictionary.response, step, layout, config)
+    peaks = (high_peaks(power, layout) for power in (torch.from_numpy(learned.power), own.power))
     return Plain(seconds, learned.iterations, int(own.iterations), *peaks)
 
 
@@ -99,10 +100,10 @@ def clock_outer_products(detector: SparseBayesianLearning, step: Measurement, re
     return median(seconds[1:])
 
 
-def high_peaks(power: Tensor, grid_shape: tuple[int, ...]) -> set[int]:
+def high_peaks(power: Tensor, layout: Grid) -> set[int]:
     """Cells of all local maxima of `(C,)` powers above `HIGH` of the largest."""
     kept = torch.where(power > HIGH * power.max(), power, 0.0)
-    cell, present = find_peaks(kept, grid_shape, PEAKS, 1.0)
+    cell, present = find_peaks(kept, layout, PEAKS, 1.0)
     return set(cell[present].tolist())
 
 

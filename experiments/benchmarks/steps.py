@@ -164,7 +164,7 @@ def forward_parts(
             f"{objects}, with roughening; no part of a step with adapted proposals",
         ),
         "sampled evidence": (partial(tracker.evidence, *weighing), f"{cfg.evidence_samples} configurations"),
-        "conclusion": (partial(conclude, placed.objects, beliefs, state, log_evidence, cfg), ""),
+        "conclusion": (partial(conclude, placed.objects, beliefs, state, log_evidence, region, cfg), ""),
         WHOLE: (partial(tracker.step, state, measurement, priors, streams), f"{cfg.slots} slots, {one}"),
     }
 

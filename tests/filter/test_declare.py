@@ -17,6 +17,7 @@ from torchdt.model.noise.base import Noise
 
 F64 = torch.float64
 PARTICLES, TONES, POINTS = 6, 2, 4
+REGION = make_region()
 CONFIG = TrackerConfig(slots=3, particles=PARTICLES, declare=0.5, prune=0.01)
 
 
@@ -59,7 +60,7 @@ def end(existence: list[list[float]], label: list[list[int]], power: list[float]
     )
     unused = torch.zeros(())
     beliefs = Beliefs(as_belief(posterior), noise, unused, unused, unused)
-    return prior, beliefs, conclude(prior, beliefs, OLD, torch.tensor([-7.0, 8.0], dtype=F64), CONFIG)
+    return prior, beliefs, conclude(prior, beliefs, OLD, torch.tensor([-7.0, 8.0], dtype=F64), REGION, CONFIG)
 
 
 def test_improbable_objects_are_dropped_and_the_others_sorted():

@@ -1,13 +1,14 @@
 """The start of a step."""
 
 import torch
-from oracles.line_array import make_tracker
+from oracles.line_array import make_region, make_tracker
 
 from torchdt.filter.bp.schedule import Beliefs
 from torchdt.filter.predict import exchangeable, predict
 from torchdt.model.prior import Priors
 
 F64 = torch.float64
+REGION = make_region()
 
 
 def predicted(bearings: list[float], deviation: float, log_odds: list[float], enough: int | None = None):
@@ -27,14 +28,14 @@ def predicted(bearings: list[float], deviation: float, log_odds: list[float], en
 
 def test_objects_whose_predictions_overlap_may_change_places():
     """Two degrees apart: 2.8 deviations of the difference of 0.5 each, 4.7 of 0.3 each."""
-    near = exchangeable(predicted([0.0, 2.0], 0.5, [3.0, 2.0]), 1)
+    near = exchangeable(predicted([0.0, 2.0], 0.5, [3.0, 2.0]), REGION)
     assert near[0, 1]
-    apart = exchangeable(predicted([0.0, 2.0], 0.3, [3.0, 2.0]), 1)
+    apart = exchangeable(predicted([0.0, 2.0], 0.3, [3.0, 2.0]), REGION)
     assert not apart[0, 1]
 
 
 def test_an_object_that_does_not_exist_changes_places_with_none():
-    pairs = exchangeable(predicted([0.0, 0.1, 0.2], 0.5, [3.0, 2.0, -torch.inf]), 1)
+    pairs = exchangeable(predicted([0.0, 0.1, 0.2], 0.5, [3.0, 2.0, -torch.inf]), REGION)
     assert pairs.shape == (2, 2), "slots that are empty throughout are left out"
     assert pairs[0, 1]
 

@@ -22,7 +22,12 @@ def idle_particles(region: Region, num_particles: int) -> Tensor:
 
 
 def conclude(
-    prior: Objects, beliefs: Beliefs, old: TrackerState, log_evidence: Tensor, config: TrackerConfig
+    prior: Objects,
+    beliefs: Beliefs,
+    old: TrackerState,
+    log_evidence: Tensor,
+    region: Region,
+    config: TrackerConfig,
 ) -> tuple[Objects, Tensor, TrackHistory]:
     """Drop improbable objects, name those declared for the first time, and report.
 
@@ -31,12 +36,14 @@ def conclude(
         beliefs: posterior beliefs about them.
         old: state before the step, of N slots.
         log_evidence: `(*batch,)`.
+        region: of interest.
         config: thresholds.
 
     Returns:
         Posterior objects of batch `(*batch, N)`, strongest first; the next free label; the estimates.
     """
     objects = prior._replace(
+        state=region.gather(prior.state, beliefs.objects.log_weight),
         log_weight=beliefs.objects.log_weight,
         log_power_weight=beliefs.objects.log_power_weight,
         log_odds=prune(beliefs.objects.log_odds, config),
@@ -47,7 +54,7 @@ def conclude(
         existence=objects.existence,
         declared=declared,
         label=label,
-        state=weighted_mean(objects.state.mT, objects.log_weight[..., None, :]),
+        state=region.wrap(weighted_mean(objects.state.mT, objects.log_weight[..., None, :])),
         state_std=standard_deviation(objects.state, objects.log_weight),
         power=objects.mean_power,
         noise=beliefs.noise.mean,

@@ -200,7 +200,9 @@ class DirectTracker(Tracker[TrackerState]):
         log_evidence = self.evidence(predicted, current, noise, measurement, beliefs, draws.evidence)
         if count is not None:
             log_evidence = log_evidence + log_normaliser(given, widen(count, 1)).to(log_evidence).sum(-1)
-        objects, next_label, estimate = conclude(current.objects, beliefs, state, log_evidence, cfg)
+        objects, next_label, estimate = conclude(
+            current.objects, beliefs, state, log_evidence, self.region, cfg
+        )
         if cfg.proposal == "prior":
             objects = resample(objects, cfg, streams)
         noise = model.noise.predict(state.noise._replace(log_weight=beliefs.noise.log_weight))
@@ -242,7 +244,7 @@ class DirectTracker(Tracker[TrackerState]):
             known = predicted.objects.log_odds.shape[-1]
             new_odds = current.objects.log_odds[..., known:]
             # New objects are born in places of their own, and change them with no other.
-            pairs = pad(exchangeable(predicted, self.region.num_coordinates), (0, new_odds.shape[-1]) * 2)
+            pairs = pad(exchangeable(predicted, self.region), (0, new_odds.shape[-1]) * 2)
             components = labellings(current.objects, current.response, measurement, beliefs, pairs)
             chosen = draws.pick(known, self.config.slots, new_odds.shape[-1])
             drawn = draw_configurations(*components, beliefs.noise, chosen)

@@ -75,17 +75,17 @@ def predict(
     return Predicted(objects, moments, response, beliefs)
 
 
-def exchangeable(predicted: Predicted, num_coordinates: int, within: float = 3.0) -> Tensor:
+def exchangeable(predicted: Predicted, region: Region, within: float = 3.0) -> Tensor:
     """Pairs of objects that could change places, `(*batch, N, N)` bool: their predictions overlap.
 
     Args:
         predicted: objects before the data.
-        num_coordinates: d; only positions count.
+        region: of interest; only positions count.
         within: distance of the means in standard deviations of their difference.
     """
-    mean, covariance = (t.detach()[..., :num_coordinates] for t in predicted.moments)
+    mean, covariance = (t.detach()[..., : region.num_coordinates] for t in predicted.moments)
     variance = covariance.diagonal(dim1=-2, dim2=-1)
-    distance = (mean.unsqueeze(-2) - mean.unsqueeze(-3)).square()
+    distance = region.difference(mean.unsqueeze(-2), mean.unsqueeze(-3)).square()
     spread = variance.unsqueeze(-2) + variance.unsqueeze(-3)
     there = predicted.objects.log_odds.isfinite()
     both = there.unsqueeze(-1) & there.unsqueeze(-2)

@@ -235,8 +235,8 @@ class Region:
         return period.shortest(difference, self.period) if self.has_period else difference
 
     def nearest(self, position: Tensor, centre: Tensor) -> Tensor:
-        """Positions or states `(*batch, D)` at the same places, where these are closest to `(*batch, d)`."""
-        return self._moved(position, lambda p: period.nearest(p, centre, self.period))
+        """Positions `(*batch, d)` at the same places, where these are closest to a centre."""
+        return period.nearest(position, centre, self.period) if self.has_period else position
 
     def gather(self, state: Tensor, log_weight: Tensor) -> Tensor:
         """Particles `(*batch, P, D)` at the same places, without a seam in between, see `period.gather`.

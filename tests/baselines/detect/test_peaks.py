@@ -5,16 +5,20 @@ import pytest
 import torch
 from oracles.detectors import planar_region
 
-from torchdt.baselines.detect.peaks import close, find_peaks
+from torchdt.baselines.detect.peaks import Grid, close, find_peaks
 from torchdt.core.errors import InputError
 
 F64 = torch.float64
 
 
+def open_grid(shape) -> Grid:
+    return Grid(tuple(shape), tuple(False for _ in shape))
+
+
 def peaks(surface, number: int = 5, separation: float = 1.0) -> list[tuple[int, ...]]:
     """Coordinates of the peaks of one surface given as a grid."""
     grid = torch.as_tensor(surface, dtype=F64)
-    index, present = find_peaks(grid.flatten(), tuple(grid.shape), number, separation)
+    index, present = find_peaks(grid.flatten(), open_grid(grid.shape), number, separation)
     assert index.shape == present.shape == (number,)
     assert index[~present].eq(0).all()
     assert present.int().diff().le(0).all()
@@ -109,18 +113,39 @@ def test_a_surface_does_not_depend_on_the_others_of_a_batch(dtype):
     surface = torch.randn(3, 2, 48, generator=rng, dtype=dtype)
     surface[1, 0, 4:20] = 5.0
     surface[2, 1] = -1.0
-    index, present = find_peaks(surface, (6, 8), 4, 2.0)
+    index, present = find_peaks(surface, open_grid((6, 8)), 4, 2.0)
     assert index.shape == present.shape == (3, 2, 4)
     assert present.any(-1).flatten().tolist() == [True] * 5 + [False]
     for b, k in itertools.product(range(3), range(2)):
-        alone = find_peaks(surface[b, k], (6, 8), 4, 2.0)
+        alone = find_peaks(surface[b, k], open_grid((6, 8)), 4, 2.0)
         assert torch.equal(index[b, k], alone[0])
         assert torch.equal(present[b, k], alone[1])
 
 
-@pytest.mark.parametrize(
-    ("shape", "key"), [((2, 2, 2, 2), "grid_shape"), ((), "grid_shape"), ((3, 5), "surface")]
-)
+@pytest.mark.parametrize(("shape", "key"), [((2, 2, 2, 2), "'grid'"), ((), "'grid'"), ((3, 5), "surface")])
 def test_a_grid_that_does_not_fit_is_refused(shape, key):
     with pytest.raises(InputError, match=key):
-        find_peaks(torch.zeros(16 if key == "surface" else math.prod(shape)), shape, 2, 1.0)
+        find_peaks(torch.zeros(16 if key == "surface" else math.prod(shape)), open_grid(shape), 2, 1.0)
+
+
+@pytest.mark.parametrize("closed", [(True, False), (False, True), (True, True)])
+@pytest.mark.parametrize("separation", [1.0, 3.0])
+def test_peaks_of_a_closed_coordinate_turn_with_the_surface(closed, separation):
+    """Wherever the seam lies: single cells, and a plateau that it cuts."""
+    shape, turns = (9, 12), [4 * c for c in closed]
+    grid = torch.randn(shape, generator=torch.Generator().manual_seed(5), dtype=F64)
+    grid[:, 0] = grid[:, -1] = 5.0
+
+    def found(surface: torch.Tensor) -> set[tuple[int, ...]]:
+        index, present = find_peaks(surface.flatten(), Grid(shape, closed), 4, separation)
+        cells = torch.stack(torch.unravel_index(index[present], shape), -1)
+        return {surface[tuple(cell)].item() for cell in cells}
+
+    assert found(grid.roll(turns, (0, 1))) == found(grid)
+
+
+def test_two_sides_of_the_seam_are_one_peak():
+    surface = torch.tensor([3.0, 1.0, 0.5, 0.2, 1.0, 2.9])
+    for closed, cells in ((True, [0]), (False, [0, 5])):
+        index, present = find_peaks(surface, Grid((6,), (closed,)), 3, 1.0)
+        assert index[present].tolist() == cells

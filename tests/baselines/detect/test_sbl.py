@@ -7,6 +7,7 @@ from oracles.line_array import make_field, make_region
 from torch import Tensor
 
 from torchdt.baselines.detect.config import SblConfig
+from torchdt.baselines.detect.peaks import Grid
 from torchdt.baselines.detect.sbl import SparseBayesianLearning
 from torchdt.baselines.detect.spectrum import sparse_spectrum, update
 from torchdt.core.errors import InputError
@@ -61,7 +62,7 @@ def numpy_problem(snapshots: Tensor, dictionary: Dictionary = DICTIONARY) -> tup
 
 
 def spectrum(snapshots: Tensor, config: SblConfig):
-    return sparse_spectrum(DICTIONARY.response, from_snapshots(snapshots), REGION.grid_shape, config)
+    return sparse_spectrum(DICTIONARY.response, from_snapshots(snapshots), Grid.of(REGION), config)
 
 
 def detector(**config) -> SparseBayesianLearning:
@@ -99,7 +100,7 @@ def test_two_coordinates():
     for cell in cells:
         z = z + complex_normal(rng, 2, 10, 1) * dictionary.response[:, cell, None]
     config = SblConfig(prune=0.0, sources=2)
-    ours = sparse_spectrum(dictionary.response, from_snapshots(z), PLANE_REGION.grid_shape, config)
+    ours = sparse_spectrum(dictionary.response, from_snapshots(z), Grid.of(PLANE_REGION), config)
     plain = oracle.learn(*numpy_problem(z, dictionary), PLANE_REGION.grid_shape, 2)
     np.testing.assert_allclose(ours.power, plain.power, atol=1e-8 * plain.power.max())
     points = SparseBayesianLearning(Plane(), PLANE_REGION, dictionary, SblConfig(refine=False))(

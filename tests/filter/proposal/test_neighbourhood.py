@@ -71,7 +71,7 @@ def test_no_place_counts_for_two():
     torch.testing.assert_close(places.high[:, 0], torch.tensor([15.0, 11.3, 10.53], dtype=F64))
     points = torch.linspace(4, 16, 121, dtype=F64)[:, None].expand(3, -1, -1)
     active = torch.tensor([True, True, False])
-    kept = drop_foreign(points, torch.zeros(3, 121, dtype=F64), places, active).eq(0)
+    kept = drop_foreign(points, torch.zeros(3, 121, dtype=F64), places, active, REGION).eq(0)
     x = points[0, :, 0]
     sharp = (x > 10.69) & (x < 11.31)
     assert torch.equal(kept[1][(x >= 5) & (x <= 15)], sharp[(x >= 5) & (x <= 15)])
@@ -88,7 +88,7 @@ def test_a_pick_found_twice_counts_once():
     points = torch.randn(2, 3, 40, 2, generator=torch.Generator().manual_seed(1), dtype=F64).clamp(-2.9, 2.9)
     active = torch.ones(2, 3, dtype=torch.bool)
     kept = drop_foreign(
-        points, torch.zeros(2, 3, 40, dtype=F64), place_of(Gaussian(mean, tril), boxes), active
+        points, torch.zeros(2, 3, 40, dtype=F64), place_of(Gaussian(mean, tril), boxes), active, REGION
     )
     assert kept[:, 0].eq(0).all()
     assert kept[:, 1:].eq(-math.inf).all()

@@ -30,12 +30,12 @@ def climb(score: Callable[[Tensor], Tensor], centre: Tensor, region: Region) -> 
         `(*batch, d)`, with a score no lower than the centre's. A centre outside the region stays where it is
         if nothing around it is inside.
     """
-    low = torch.maximum(centre - region.cell, region.low)[..., None, :]
-    high = torch.minimum(centre + region.cell, region.high)[..., None, :]
+    low = torch.maximum(centre - region.cell, region.lower_end)[..., None, :]
+    high = torch.minimum(centre + region.cell, region.upper_end)[..., None, :]
     axis = torch.arange(-2, 3, dtype=centre.dtype, device=centre.device)
     offset = torch.cartesian_prod(*[axis] * centre.shape[-1]).reshape(-1, centre.shape[-1])
     offset = offset[offset.square().sum(-1).argsort(stable=True)] * region.cell
     for level in range(1, LEVELS + 1):
         points = torch.clamp(centre[..., None, :] + 0.5**level * offset, low, high)
         centre = take(points, drop_outside(points, score(points), region).argmax(-1))
-    return centre
+    return region.wrap(centre)

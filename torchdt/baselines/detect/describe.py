@@ -218,7 +218,7 @@ def polish(
         remainder = project_out(field(position), others, measurement)
 
         def score(x: Tensor) -> Tensor:
-            difference = (x[..., :, None, :] - position[..., None, :, :]) / region.cell  # noqa: B023
+            difference = region.difference(x[..., :, None, :], position[..., None, :, :]) / region.cell  # noqa: B023
             taken = (close(difference, separation) & others[..., None, :]).any(-1)  # noqa: B023
             return ratio(remainder, respond(field, x)).masked_fill(taken, -torch.inf)  # noqa: B023
 

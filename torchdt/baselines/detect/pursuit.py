@@ -113,6 +113,8 @@ class MatchingPursuit:
         s = self.square[group] @ sensors.permute(1, 2, 0)
         surface = peak_log_likelihood_ratio(J.mT[:, None], s, q)[0].sum(0).mT
         for x, there in zip(position.unbind(-2), present.unbind(-1), strict=True):
-            near = close((self.points - x[:, None]) / self.region.cell, self.config.separation)
+            near = close(
+                self.region.difference(self.points, x[:, None]) / self.region.cell, self.config.separation
+            )
             surface = surface.masked_fill(near & there[:, None], -torch.inf)
         return surface

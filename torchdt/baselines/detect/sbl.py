@@ -5,7 +5,7 @@ from torch import Tensor
 
 from torchdt.baselines.detect.climb import climb
 from torchdt.baselines.detect.config import SblConfig
-from torchdt.baselines.detect.peaks import close, find_peaks
+from torchdt.baselines.detect.peaks import Grid, close, find_peaks
 from torchdt.baselines.detect.points import Points
 from torchdt.baselines.detect.spectrum import converge, flatten, spread
 from torchdt.core.errors import require
@@ -45,12 +45,12 @@ class SparseBayesianLearning:
         """
         batch, cfg = measurement.num_snapshots.shape[:-1], self.config
         flat, grid = flatten(measurement), self.dictionary.points
-        active = converge(self.dictionary.response, flat, self.region.grid_shape, cfg)
+        active = converge(self.dictionary.response, flat, Grid.of(self.region), cfg)
         cell, present = find_peaks(
-            spread(active, len(grid)), self.region.grid_shape, cfg.points, cfg.separation
+            spread(active, len(grid)), Grid.of(self.region), cfg.points, cfg.separation
         )
         # Each peak is judged, and moved off the grid, before all that is not part of it.
-        apart = grid[cell].unsqueeze(-2) - grid[active.column].unsqueeze(-3)
+        apart = self.region.difference(grid[cell].unsqueeze(-2), grid[active.column].unsqueeze(-3))
         far = ~close(apart / self.region.cell, cfg.separation)
         signal = weighted_moment(active.response.unsqueeze(1), far * active.power.unsqueeze(-2))
         each = flat.unsqueeze()

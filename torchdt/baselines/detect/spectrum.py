@@ -19,6 +19,7 @@ from torch.nn.functional import pad
 
 from torchdt.baselines.detect.config import SblConfig
 from torchdt.baselines.detect.describe import describe
+from torchdt.baselines.detect.peaks import Grid
 from torchdt.filter.bp.moments import weighted_moment
 from torchdt.filter.bp.rank_one import statistics, whiten
 from torchdt.model.measurement import Measurement, mask_covariance
@@ -73,37 +74,33 @@ class Active(NamedTuple):
     done: Tensor
 
 
-def sparse_spectrum(
-    response: Tensor, measurement: Measurement, grid_shape: tuple[int, ...], config: SblConfig
-) -> Spectrum:
+def sparse_spectrum(response: Tensor, measurement: Measurement, layout: Grid, config: SblConfig) -> Spectrum:
     """Powers of all columns that maximise the evidence, from the beamformer's as a start.
 
     Args:
         response: `(I, C, M)` complex dictionary, or `(B, I, C, M)` for the leading dimension of the batch.
         measurement: statistics, batch `(*batch,)`.
-        grid_shape: number of cells along each coordinate.
+        layout: of the cells.
         config: settings.
 
     Raises:
         NumericalError: where a covariance is not positive definite.
     """
     batch = measurement.num_snapshots.shape[:-1]
-    active = converge(response, flatten(measurement), grid_shape, config)
+    active = converge(response, flatten(measurement), layout, config)
     parts = (spread(active, response.shape[-2]), active.noise, active.iterations)
     return Spectrum(*(t.reshape(batch + t.shape[1:]) for t in parts))
 
 
-def converge(
-    response: Tensor, measurement: Measurement, grid_shape: tuple[int, ...], config: SblConfig
-) -> Active:
+def converge(response: Tensor, measurement: Measurement, layout: Grid, config: SblConfig) -> Active:
     """Columns with power in S problems, batch `(S,)`."""
     dictionaries = response.reshape(-1, *response.shape[-3:])
     problems, alone = len(measurement.num_snapshots), []
     for index in range(problems):
         own = dictionaries[index * len(dictionaries) // problems]
         part = Measurement(*(t[index : index + 1] for t in measurement))
-        alone.append(_iterate(_start(own[None], part), part, grid_shape, config, ALONE))
-    return _iterate(_stack(alone), measurement, grid_shape, config, 0)
+        alone.append(_iterate(_start(own[None], part), part, layout, config, ALONE))
+    return _iterate(_stack(alone), measurement, layout, config, 0)
 
 
 def flatten(measurement: Measurement) -> Measurement:
@@ -137,13 +134,13 @@ def _start(response: Tensor, measurement: Measurement) -> Active:
 def _iterate(
     active: Active,
     measurement: Measurement,
-    grid_shape: tuple[int, ...],
+    layout: Grid,
     config: SblConfig,
     enough: int,
 ) -> Active:
     """Update until all problems are done, or no more than `enough` columns are left."""
     while not bool(active.done.all()) and active.column.shape[-1] > enough:
-        noise = _noise(active, measurement, grid_shape, config.sources)
+        noise = _noise(active, measurement, layout, config.sources)
         power = update(active.power, active.response, noise, measurement)
         top = power.amax(-1, keepdim=True)
         power = torch.where(power < config.prune * top, 0.0, power)
@@ -186,9 +183,9 @@ def update(power: Tensor, response: Tensor, noise: Tensor, measurement: Measurem
     return power * (q / J.clamp_min(1.0) * heard).sum(-2) / (s * heard).sum(-2).clamp_min(tiny)
 
 
-def _noise(active: Active, measurement: Measurement, grid_shape: tuple[int, ...], sources: int) -> Tensor:
+def _noise(active: Active, measurement: Measurement, layout: Grid, sources: int) -> Tensor:
     """`tr[(I - A A^+) S] / (J (M - K))` with the columns A of the K strongest peaks, `(S, I)`."""
-    index, present = _strongest_peaks(active.column, active.power, grid_shape, sources)
+    index, present = _strongest_peaks(active.column, active.power, layout, sources)
     peak = index[..., None, :, None].expand(-1, active.response.shape[1], -1, active.response.shape[-1])
     response = active.response.gather(-2, peak).transpose(-3, -2)
     noise = describe(response, response.real[..., 0, :1], present, measurement).noise
@@ -197,17 +194,15 @@ def _noise(active: Active, measurement: Measurement, grid_shape: tuple[int, ...]
     return torch.where(measurement.num_snapshots > 0, torch.maximum(noise, floor), 1.0)
 
 
-def _strongest_peaks(
-    column: Tensor, power: Tensor, grid_shape: tuple[int, ...], number: int
-) -> tuple[Tensor, Tensor]:
+def _strongest_peaks(column: Tensor, power: Tensor, layout: Grid, number: int) -> tuple[Tensor, Tensor]:
     """The strongest local maxima among the highest of the active columns.
 
     Returns:
         Index into the active columns `(S, K)` int64, and whether it is present, `(S, K)` bool, K <= `number`.
     """
     height, index = power.topk(min(CANDIDATES, power.shape[-1]))
-    cell = torch.stack(torch.unravel_index(column.gather(-1, index), grid_shape), -1)
-    adjacent = ((cell.unsqueeze(-2) - cell.unsqueeze(-3)).abs() <= 1).all(-1)
+    cell = torch.stack(torch.unravel_index(column.gather(-1, index), layout.shape), -1)
+    adjacent = (layout.apart(cell.unsqueeze(-2) - cell.unsqueeze(-3)).abs() <= 1).all(-1)
     # Sorted by height: a column with a neighbour before it is on a slope.
     slope = adjacent.tril(-1).any(-1) | (height <= 0)
     order = slope.to(torch.int8).argsort(dim=-1, stable=True)[..., :number]

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torchdt.core.errors import require
+from torchdt.core.period import shortest
 from torchdt.model.motion.base import Motion
 from torchdt.model.motion.constant_velocity import ConstantVelocity
 from torchdt.model.region import Region, per_coordinate
@@ -54,6 +55,8 @@ class PointLikelihood(Protocol):
 class GaussianPosition:
     """Points are positions of objects with Gaussian errors: `z = position + N(0, diag(spread^2))`.
 
+    Of a coordinate that goes round an error is the shortest way: its spread is far below the period.
+
     False points and new objects are uniform in the region.
 
     Args:
@@ -68,6 +71,7 @@ class GaussianPosition:
     def __init__(self, region: Region, spread: Sequence[float] | None = None, motion: Motion | None = None):
         self.region, self.motion = region, ConstantVelocity() if motion is None else motion
         self.spread = per_coordinate(spread, region.cell / 2, "tracker.spread")
+        self._turn = region.period / self.spread
         self._log_volume = (region.high - region.low).log().sum()
         self._log_peak = -self.spread.log().sum() - 0.5 * region.num_coordinates * math.log(2 * math.pi)
 
@@ -82,10 +86,15 @@ class GaussianPosition:
         # One coordinate after another, in place: the tensor of N x M x P is the large one.
         scaled = (state[..., :d] / self.spread).mT.contiguous().unsqueeze(-3)
         centre = (point / self.spread)[..., None, :, :, None]
-        total = (scaled[..., 0, :] - centre[..., 0, :]).square_()
+
+        def error(i: int) -> Tensor:
+            straight = scaled[..., i, :] - centre[..., i, :]
+            return shortest(straight, self._turn[i]) if self._turn[i].isfinite() else straight
+
+        total = error(0).square_()
         for i in range(1, d):
-            error = scaled[..., i, :] - centre[..., i, :]
-            total.addcmul_(error, error)
+            other = error(i)
+            total.addcmul_(other, other)
         return total.mul_(-0.5).add_(self._log_peak)
 
     def log_clutter(self, point: Tensor) -> Tensor:

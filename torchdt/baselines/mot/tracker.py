@@ -126,7 +126,7 @@ class PointTracker:
             existence=torch.sigmoid(objects.log_odds),
             declared=declared,
             label=label,
-            state=weighted_mean(objects.particles.mT, objects.log_weight.unsqueeze(-2)),
+            state=self.region.wrap(weighted_mean(objects.particles.mT, objects.log_weight.unsqueeze(-2))),
             state_std=standard_deviation(objects.particles, objects.log_weight),
             power=objects.power,
             noise=points.noise,
@@ -188,6 +188,7 @@ class PointTracker:
         chosen = [take_rows(t, order) for t in objects]
         rest = self._blank((*order.shape[:-1], self.config.slots - num), objects.power.shape[-1])
         kept = PointObjects(*join(chosen, rest, order.ndim - 1))
+        kept = kept._replace(particles=self.region.gather(kept.particles, kept.log_weight))
         particles, log_weight = put_idle(kept.particles, kept.log_weight, kept.log_odds, self._idle)
         return kept._replace(particles=particles, log_weight=log_weight)
 

@@ -23,7 +23,7 @@ OUTER = 0.01
 
 def cell_around(centre: Tensor, region: Region) -> Box:
     """A box of one cell around `(*batch, d)`, moved into the region."""
-    centre = centre.clamp(region.low + region.cell / 2, region.high - region.cell / 2)
+    centre = centre.clamp(region.lower_end + region.cell / 2, region.upper_end - region.cell / 2)
     return Box(centre - region.cell / 2, centre + region.cell / 2)
 
 
@@ -31,7 +31,8 @@ def cell_around(centre: Tensor, region: Region) -> Box:
 def grow(log_likelihood: Callable[[Tensor], Tensor], peak: Tensor, region: Region, rounds: Tensor) -> Box:
     """A box around a peak of a likelihood that holds all but a small part of it.
 
-    Where the likelihood is a Gaussian, a box ends beyond five of its standard deviations.
+    Where the likelihood is a Gaussian, a box ends beyond five of its standard deviations. Where it is all
+    around, it is one period wide.
 
     Args:
         log_likelihood: maps positions `(*batch, S, d)` to `(*batch, S)`.
@@ -49,7 +50,7 @@ def grow(log_likelihood: Callable[[Tensor], Tensor], peak: Tensor, region: Regio
         growing = growing & ((weight * outer).sum(-2) > OUTER).any(-2)
         if not bool(growing.any()):
             break
-        half = torch.where(growing, 2 * half, half)
+        half = torch.where(growing, torch.minimum(2 * half, region.period / 2), half)
     return _around(peak, half, region)
 
 
@@ -66,10 +67,10 @@ def _spread(box: Box, peak: Tensor, draws: Tensor) -> Tensor:
 
 
 def _around(peak: Tensor, half: Tensor, region: Region) -> Box:
-    return Box(torch.maximum(peak - half, region.low), torch.minimum(peak + half, region.high))
+    return Box(torch.maximum(peak - half, region.lower_end), torch.minimum(peak + half, region.upper_end))
 
 
-def drop_foreign(position: Tensor, log_weight: Tensor, places: Box, active: Tensor) -> Tensor:
+def drop_foreign(position: Tensor, log_weight: Tensor, places: Box, active: Tensor, region: Region) -> Tensor:
     """Take the weight from particles at places that belong to another pick, see above.
 
     Args:
@@ -77,9 +78,10 @@ def drop_foreign(position: Tensor, log_weight: Tensor, places: Box, active: Tens
         log_weight: `(*batch, Q, P)`.
         places: of batch `(*batch, Q)`.
         active: `(*batch, Q)` bool, the picks that count.
+        region: of interest.
     """
-    points = position[..., None, :]
     low, high = (corner[..., None, None, :, :] for corner in places)
+    points = region.nearest(position[..., None, :], (low + high) / 2)
     holds = ((points >= low) & (points <= high)).all(-1) & active[..., None, None, :]  # (*batch, Q, P, Q)
     edge = (places.high - places.low).clamp_min(torch.finfo(position.dtype).tiny)
     size = edge.log().sum(-1)[..., None, None, :]

@@ -151,7 +151,8 @@ def _refine(field: Field, region: Region, whitener: Whitener, centre: Tensor, ro
         gain = peak_log_likelihood_ratio(whitener.num_snapshots[..., None], s, q)[0].sum(-2)
         return drop_outside(position, gain, region)
 
-    around = Box((centre - region.cell).clamp_min(region.low), (centre + region.cell).clamp_max(region.high))
+    low, high = torch.maximum(centre - region.cell, region.lower_end), centre + region.cell
+    around = Box(low, torch.minimum(high, region.upper_end))
     return adapt(peak, around, rounds.movedim(-3, 0)).fitted.mean
 
 
@@ -219,7 +220,7 @@ def propose_newborn(
     log_weight = log_prior - proposal.log_prob(position) - math.log(final.shape[-2])
     state = model.motion.newborn(region, position, final[..., d:])
     log_weight = drop_outside(state, log_weight, region)
-    log_weight = drop_foreign(position, log_weight, places, picks.active)
+    log_weight = drop_foreign(position, log_weight, places, picks.active, region)
     odds = torch.where(picks.active, log_odds[..., None], -torch.inf)
     label = torch.zeros(picks.active.shape, dtype=torch.int64, device=state.device)
     return Objects(state, log_weight, power, log_power_weight, odds, label), respond(field, state)
