@@ -11,6 +11,7 @@ from torch import Generator, Tensor
 from torchdt.calibration.focalise import focalise
 from torchdt.calibration.share import mismatch_share
 from torchdt.core.ranges import Checked, Count, InnerProbability, Passes, Positive, Steps
+from torchdt.core.trees import tree_map
 from torchdt.field.waveguide.family import WaveguideFamily
 from torchdt.field.waveguide.waveguide import NormalModeField
 from torchdt.filter.proposal.dictionary import build_dictionary
@@ -94,7 +95,7 @@ def calibrate(
     num_steps = measurement.num_snapshots.shape[0]
     theta, count = torch.zeros_like(family.prior_std), min(config.steps, num_steps)
     chosen = torch.linspace(0, num_steps - 1, count, dtype=theta.dtype, device=theta.device).round().long()
-    part = Measurement(*(t[chosen] for t in measurement))
+    part = tree_map(lambda t: t[chosen], measurement)
     field = family.solve(theta)
     # Positions are found to a fraction of a cell; that is also how far a wrong environment moves them.
     scale = region.cell / 4

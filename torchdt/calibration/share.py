@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from torchdt.core.trees import tree_map
 from torchdt.field.waveguide.waveguide import NormalModeField
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask_covariance
 
@@ -38,7 +39,7 @@ def mismatch_share(
     level = measurement.energy.mean(0) / measurement.factor.shape[-2]
     steps = torch.linspace(-NOISE_DECADES, 0.0, NOISE_POINTS, dtype=level.dtype, device=level.device)
     noise = level.clamp_min(torch.finfo(level.dtype).tiny) * 10 ** steps[:, None]
-    per_noise = Measurement(*(t[:, None] for t in measurement))
+    per_noise = tree_map(lambda t: t[:, None], measurement)
     scores = []
     for share in SHARES:
         signal = (1 - share) * coherent + share * scattered

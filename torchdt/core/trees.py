@@ -1,10 +1,11 @@
-"""Rows of tensors and of tuples of tensors: one slot of every sequence, or some sequences of a batch."""
+"""Rows of tensors, and trees of tensors: (nested) tuples, whose leaves are treated alike."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
+from torch.utils import _pytree
 
 
 def take(tensor: Tensor, index: Tensor) -> Tensor:
@@ -35,45 +36,40 @@ def _row(tensor: Tensor, index: Tensor) -> Tensor:
 Tree = TypeVar("Tree", bound=tuple[Any, ...])
 
 
+def tree_map(function: Callable[..., Tensor], tree: Tree, *others: Any) -> Tree:
+    """Apply a function to the tensors in the same place of (nested) tuples alike; None stays None."""
+
+    def apply(first: Tensor | None, *rest: Tensor) -> Tensor | None:
+        return None if first is None else function(first, *rest)
+
+    return _pytree.tree_map(apply, tree, *others)
+
+
 def select(condition: Tensor, first: Tree, second: Tree) -> Tree:
-    """Take each batch element from one of two (nested) tuples of tensors `(*batch, ...)`."""
+    """Take each batch element from one of two trees of tensors `(*batch, ...)`."""
 
-    def choose(a: Any, b: Any) -> Any:
-        if isinstance(a, Tensor):
-            return torch.where(
-                condition.reshape(*condition.shape, *(1 for _ in a.shape[condition.ndim :])), a, b
-            )
-        return a if a is None else type(a)(*(choose(x, y) for x, y in zip(a, b, strict=True)))
+    def choose(a: Tensor, b: Tensor) -> Tensor:
+        wide = condition.reshape(*condition.shape, *(1 for _ in a.shape[condition.ndim :]))
+        return torch.where(wide, a, b)
 
-    return choose(first, second)
+    return tree_map(choose, first, second)
 
 
 def take_sequences(tree: Tree, rows: Tensor) -> Tree:
-    """Sequences of a (nested) tuple of tensors `(B, ...)`, `(B',)` int64."""
-    parts = (t if t is None else t[rows] if isinstance(t, Tensor) else take_sequences(t, rows) for t in tree)
-    return _rebuild(tree, parts)
+    """Sequences of a tree of tensors `(B, ...)`, `(B',)` int64."""
+    return tree_map(lambda t: t[rows], tree)
 
 
 def put_sequences(tree: Tree, rows: Tensor, part: Tree) -> Tree:
     """The inverse of `take_sequences`, out of place."""
-
-    def put_one(old: Any, new: Any) -> Any:
-        if isinstance(old, Tensor):
-            return old.index_copy(0, rows, new)
-        return old if old is None else put_sequences(old, rows, new)
-
-    return _rebuild(tree, (put_one(old, new) for old, new in zip(tree, part, strict=True)))
+    return tree_map(lambda old, new: old.index_copy(0, rows, new), tree, part)
 
 
-def join_sequences(trees: Sequence[Tree]) -> Tree:
-    """(Nested) tuples of tensors `(B', ...)` one after another, `(B, ...)`."""
-    parts = (
-        torch.cat(part) if isinstance(part[0], Tensor) else join_sequences(part)
-        for part in zip(*trees, strict=True)
-    )
-    return _rebuild(trees[0], parts)
+def join(trees: Sequence[Tree], dim: int = 0) -> Tree:
+    """Trees one after another in a dimension, such as sequences `(B', ...)` to `(B, ...)`."""
+    return tree_map(lambda *parts: torch.cat(parts, dim), *trees)
 
 
-def _rebuild(tree: Tree, parts: Iterable[Any]) -> Tree:
-    """A named tuple, or a plain one, of other parts."""
-    return type(tree)(*parts) if hasattr(tree, "_fields") else type(tree)(parts)
+def stack(trees: Sequence[Tree], dim: int) -> Tree:
+    """Trees along a new dimension, such as steps."""
+    return tree_map(lambda *parts: torch.stack(parts, dim), *trees)

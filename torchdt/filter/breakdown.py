@@ -9,7 +9,7 @@ import torch
 
 from torchdt.core.linalg import BREAKDOWN, NumericalError
 from torchdt.core.random import RandomStreams
-from torchdt.core.trees import join_sequences, take_sequences
+from torchdt.core.trees import join, take_sequences
 from torchdt.filter.history import TrackHistory
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
@@ -68,7 +68,7 @@ def step_or_miss(
         except BREAKDOWN as error:
             own.skip_to(before[b : b + 1])
             parts.append(_miss(one, *arguments, own, f"sequence {first + b}, step {step}", error))
-    return join_sequences(parts)
+    return join(parts)
 
 
 def _miss(

@@ -3,9 +3,8 @@
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
-import torch
-
 from torchdt.core.random import RandomStreams
+from torchdt.core.trees import stack
 from torchdt.data.prepare import Prepared
 from torchdt.data.recording import Recording
 from torchdt.field.base import BaseField
@@ -128,4 +127,4 @@ class Tracker(Protocol[State]):
             steps.append(estimate)
             if on_step is not None:
                 on_step(k, state, estimate)
-        return TrackHistory(*(torch.stack(parts, batch_dims) for parts in zip(*steps, strict=True)))
+        return stack(steps, batch_dims)

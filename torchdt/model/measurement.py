@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from torchdt.core.linalg import cholesky
+from torchdt.core.trees import tree_map
 
 ROUNDING = 4.0
 """Relative error of a covariance that is a sum of responses, in units of the rounding error of one number."""
@@ -48,7 +49,7 @@ class Measurement(NamedTuple):
 
     def silent(self) -> "Measurement":
         """Statistics of the same shape without any data."""
-        return Measurement(*(torch.zeros_like(part) for part in self))
+        return tree_map(torch.zeros_like, self)
 
     def tempered(self, power: Tensor | float) -> "Measurement":
         """Raise the likelihood to a power: an effective number of `power * J` snapshots.

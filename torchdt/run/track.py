@@ -12,6 +12,7 @@ from torch import Generator
 from torchdt.core.errors import require
 from torchdt.core.memory import free_memory_gb, require_memory
 from torchdt.core.random import RandomStreams
+from torchdt.core.trees import join, tree_map
 from torchdt.data.prepare import Prepared
 from torchdt.data.recording import Recording
 from torchdt.filter.history import TrackHistory, history_like
@@ -88,7 +89,7 @@ def track(
         )
 
     parts = run_chunks(track_some, chunks, workers)
-    return TrackHistory(*(torch.cat(fields) for fields in zip(*parts, strict=True)))
+    return join(parts)
 
 
 def _track_chunk(
@@ -152,8 +153,8 @@ class _Units:
 
     def of_step(self, estimate: TrackHistory, step: int) -> TrackHistory:
         """Scale the estimates of one step, which have no time dimension."""
-        scaled = self.of(TrackHistory(*(part[:, None] for part in estimate)), step)
-        return TrackHistory(*(part[:, 0] for part in scaled))
+        scaled = self.of(tree_map(lambda part: part[:, None], estimate), step)
+        return tree_map(lambda part: part[:, 0], scaled)
 
 
 def derive_seed(seed: int, purpose: str) -> int:
