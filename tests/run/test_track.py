@@ -238,7 +238,7 @@ def test_a_chunk_has_its_own_part_of_the_dictionary_alone(five, own_fields, monk
         sizes.append(dictionary.response.shape[0])
         return dictionary
 
-    monkeypatch.setattr("torchdt.filter.direct.build_dictionary", recorded)
+    monkeypatch.setattr("torchdt.filter.tracker.build_dictionary", recorded)
     tracker = DirectTracker(own_fields, make_tracker().region, 1.0, make_tracker().config)
     track(five, tracker, SEEDS, memory_gb=gigabytes(tracker, five, 2))
     assert sizes == [1, 2, 2]

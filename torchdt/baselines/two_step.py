@@ -21,7 +21,7 @@ from torchdt.data.recording import Recording
 from torchdt.field.base import BaseField, Field
 from torchdt.field.wrapped import CompletedField
 from torchdt.filter.history import TrackHistory
-from torchdt.filter.proposal.dictionary import Dictionary, build_dictionary
+from torchdt.filter.proposal.dictionary import Dictionary
 from torchdt.filter.tracker import Tracker
 from torchdt.model.measurement import Measurement
 from torchdt.model.motion.base import Motion
@@ -60,6 +60,7 @@ class TwoStepTracker(Tracker[PointState]):
     """
 
     field: BaseField
+    config: TwoStepConfig
 
     def __init__(
         self,
@@ -74,11 +75,6 @@ class TwoStepTracker(Tracker[PointState]):
         self.field, self.region, self.config = CompletedField(field, region.complete), region, config
         likelihood = GaussianPosition(region, config.spread_in(region), motion)
         self.tracker = PointTracker(region, step_s, config, likelihood, motion)
-
-    @cached_property
-    def dictionary(self) -> Dictionary:
-        """Responses of the field at the centres of the birth cells, evaluated when first asked for."""
-        return build_dictionary(self.field, self.region)
 
     @cached_property
     def detector(self) -> Detector:

@@ -2,7 +2,6 @@
 
 import copy
 import math
-from functools import cached_property
 from typing import NamedTuple, Self
 
 import torch
@@ -23,7 +22,6 @@ from torchdt.filter.declare import conclude, empty_slots, idle_particles, resamp
 from torchdt.filter.history import TrackHistory
 from torchdt.filter.placement import Placer
 from torchdt.filter.predict import Predicted, exchangeable, predict
-from torchdt.filter.proposal.dictionary import Dictionary, build_dictionary
 from torchdt.filter.proposal.moved import Draws
 from torchdt.filter.slots import Placed
 from torchdt.filter.state import Objects, TrackerState
@@ -80,6 +78,7 @@ class DirectTracker(Tracker[TrackerState]):
     """
 
     field: BaseField
+    config: TrackerConfig
 
     def __init__(
         self,
@@ -101,11 +100,6 @@ class DirectTracker(Tracker[TrackerState]):
             self.field = with_share(self.field, config.mismatch_share, anywhere)
         self.model = model.on(self.region)
         self._idle = idle_particles(self.region, config.particles)
-
-    @cached_property
-    def dictionary(self) -> Dictionary:
-        """Responses of the field at the centres of the birth cells, evaluated when first asked for."""
-        return build_dictionary(self.field, self.region)
 
     def select(self, sequences: slice) -> Self:
         """The same tracker for some sequences of its batch; what all sequences share stays shared."""

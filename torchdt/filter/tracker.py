@@ -1,7 +1,9 @@
 """What every tracker offers."""
 
+import abc
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
+from functools import cached_property
+from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 from torchdt.core.random import RandomStreams
 from torchdt.core.trees import stack
@@ -11,7 +13,7 @@ from torchdt.field.base import BaseField
 from torchdt.filter.breakdown import step_or_miss
 from torchdt.filter.config import ObjectConfig
 from torchdt.filter.history import TrackHistory
-from torchdt.filter.proposal.dictionary import Dictionary
+from torchdt.filter.proposal.dictionary import Dictionary, build_dictionary
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
@@ -36,8 +38,8 @@ class Past(NamedTuple, Generic[State]):
         return [TrackHistory(*step) for step in zip(*parts, strict=True)]
 
 
-class Tracker(Protocol[State]):
-    """From array data to tracks, step by step; inherit from it for `stream` and `run`.
+class Tracker(abc.ABC, Generic[State]):
+    """Base of all trackers: from array data to tracks, step by step.
 
     Attributes:
         field: array response.
@@ -49,23 +51,24 @@ class Tracker(Protocol[State]):
     region: Region
     config: ObjectConfig
 
-    @property
+    @cached_property
     def dictionary(self) -> Dictionary:
         """Responses of the field at the centres of the birth cells, evaluated when first asked for."""
-        ...
+        return build_dictionary(self.field, self.region)
 
+    @abc.abstractmethod
     def select(self, sequences: slice) -> Self:
         """The same tracker for some sequences of its batch; what all sequences share stays shared."""
-        ...
 
+    @abc.abstractmethod
     def prepare(self, recording: Recording) -> Prepared:
         """Bring a recording into the form and units in which the tracker takes it."""
-        ...
 
+    @abc.abstractmethod
     def init(self, priors: Priors) -> State:
         """State before the first step: no objects."""
-        ...
 
+    @abc.abstractmethod
     def step(
         self, state: State, measurement: Measurement, priors: Priors, streams: RandomStreams
     ) -> tuple[State, TrackHistory]:
@@ -74,7 +77,6 @@ class Tracker(Protocol[State]):
         Returns:
             The new state, and the estimates of this step: a `TrackHistory` without its time dimension.
         """
-        ...
 
     def stream(
         self, measurements: Iterable[Measurement], priors: Priors, streams: RandomStreams
