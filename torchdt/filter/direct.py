@@ -30,7 +30,7 @@ from torchdt.model.measurement import Measurement
 from torchdt.model.model import Model
 from torchdt.model.noise.base import Noise
 from torchdt.model.part import widen
-from torchdt.model.prior import Priors, resolvable_noise
+from torchdt.model.prior import Priors
 from torchdt.model.region import Region
 from torchdt.model.wishart import log_normaliser
 
@@ -99,6 +99,7 @@ class DirectTracker(Tracker[TrackerState]):
             anywhere = of_each(self.field, self.region.cell_centres()[:1])
             self.field = with_share(self.field, config.mismatch_share, anywhere)
         self.model = model.on(self.region)
+        self.model.noise.check_array(self.field.num_tones, self.field.num_sensors)
         self._idle = idle_particles(self.region, config.particles)
 
     def select(self, sequences: slice) -> Self:
@@ -177,7 +178,7 @@ class DirectTracker(Tracker[TrackerState]):
         tempered = measurement.tempered(widen(model.likelihood_power, 1))
         # Noise that the numbers of this step cannot resolve is as good as the least that they can. The belief
         # that goes on keeps its support points.
-        noise = state.noise.above(resolvable_noise(measurement, priors))
+        noise = model.noise.resolvable(state.noise, measurement, priors)
         predicted = self.predict(state._replace(noise=noise), draws.driving)
         born = model.birth.log_odds(self.region)
         placer = Placer(self.field, self.region, self.dictionary, cfg, model, born)
@@ -190,6 +191,7 @@ class DirectTracker(Tracker[TrackerState]):
             sweeps=cfg.sweeps,
             schedule=cfg.schedule,
             initial=current.beliefs,
+            noise_model=model.noise,
         )
         log_evidence = self.evidence(predicted, current, noise, measurement, beliefs, draws.evidence)
         if count is not None:
@@ -233,18 +235,17 @@ class DirectTracker(Tracker[TrackerState]):
     ) -> Tensor:
         """Evidence of the step, `(*batch,)`; zero where there are no data. The likelihood is not tempered."""
         if self.config.evidence == "gaussian":
-            log_evidence = gaussian_evidence(predicted.beliefs, measurement)
+            log_evidence = gaussian_evidence(predicted.beliefs, measurement, self.model.noise)
         else:
             known = predicted.objects.log_odds.shape[-1]
             new_odds = current.objects.log_odds[..., known:]
             # New objects are born in places of their own, and change them with no other.
             pairs = pad(exchangeable(predicted, self.region), (0, new_odds.shape[-1]) * 2)
-            components = labellings(current.objects, current.response, measurement, beliefs, pairs)
+            at = current.objects, current.response
+            components = labellings(*at, measurement, beliefs, pairs, self.model.noise)
             chosen = draws.pick(known, self.config.slots, new_odds.shape[-1])
             drawn = draw_configurations(*components, beliefs.noise, chosen)
-            log_evidence = sampled_evidence(
-                current.objects, current.response, noise, measurement, drawn, beliefs.diffuse
-            )
+            log_evidence = sampled_evidence(*at, noise, measurement, drawn, beliefs.diffuse, self.model.noise)
             num_new = new_odds.isfinite().sum(-1)
             log_evidence = log_evidence + self.model.birth.log_none(self.region, num_new)
         return torch.where((measurement.num_snapshots > 0).any(-1), log_evidence, 0.0)

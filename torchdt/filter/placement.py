@@ -81,6 +81,7 @@ class Placer:
                 cfg.pick_threshold(self.birth_log_odds),
                 rounds,
                 refine=cfg.proposal == "adapted",
+                noise_model=self.model.noise,
             )
         explained = Noise(*(t.detach() for t in explained))
         current = first._replace(beliefs=first.beliefs._replace(noise=explained))
@@ -113,6 +114,7 @@ class Placer:
         placer = copy.copy(self)
         chosen = rows.tolist()
         placer.field, placer.region = self.field.select(chosen), self.region.select(chosen)
+        placer.model = self.model.select(chosen)
         start = predicted.beliefs._replace(noise=noise)
         return put_sequences(current, rows, placer._place_known(predicted, start, measurement, draws, found))
 
@@ -137,6 +139,7 @@ class Placer:
                 draws,
                 found,
                 gradient=cfg.gradient,
+                noise_model=self.model.noise,
             )
             return Placed(*placed)
         first = update(
@@ -147,6 +150,7 @@ class Placer:
             sweeps=1,
             schedule=cfg.schedule,
             initial=beliefs,
+            noise_model=self.model.noise,
         )
         return Placed(known, predicted.response, first)
 

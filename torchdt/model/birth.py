@@ -37,7 +37,7 @@ class Birth(Protocol):
         """The model with numbers in the type and on the device of a region."""
         ...
 
-    def select(self, sequences: slice) -> Self:
+    def select(self, sequences: slice | list[int]) -> Self:
         """The model of some sequences of a batch."""
         ...
 

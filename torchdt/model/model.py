@@ -114,7 +114,7 @@ class Model(Part):
         parts = {name: part.on(region) for name, part in self.parts.items()}
         return dataclasses.replace(super().on(region), **parts)
 
-    def select(self, sequences: slice) -> Self:
+    def select(self, sequences: slice | list[int]) -> Self:
         """The model of some sequences of a batch `(B,)`."""
         parts = {name: part.select(sequences) for name, part in self.parts.items()}
         return dataclasses.replace(super().select(sequences), **parts)

@@ -92,7 +92,7 @@ class Part:
             },
         )
 
-    def select(self, sequences: slice) -> Self:
+    def select(self, sequences: slice | list[int]) -> Self:
         """The part for some sequences of a batch `(B,)`; a number that all share stays as it is."""
         return self.with_numbers(
             {

@@ -22,7 +22,8 @@ from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.bp.schedule import Beliefs, as_belief, background
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement
-from torchdt.model.noise.base import Noise
+from torchdt.model.noise.base import Noise, NoiseModel
+from torchdt.model.noise.white import WHITE
 
 DOUBT = 0.01
 """Neither existence nor absence is drawn with a smaller probability: BP may be too sure of one of them."""
@@ -138,7 +139,12 @@ def _doubt(log_odds: Tensor) -> Tensor:
 
 @torch.no_grad()
 def labellings(
-    prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs, exchangeable: Tensor
+    prior: Objects,
+    response: Tensor,
+    measurement: Measurement,
+    beliefs: Beliefs,
+    exchangeable: Tensor,
+    noise_model: NoiseModel = WHITE,
 ) -> tuple[list[ObjectBelief], Tensor]:
     """The beliefs, and for each exchangeable pair of objects those in which the two change places.
 
@@ -151,6 +157,7 @@ def labellings(
         measurement: statistics of the step.
         beliefs: posterior beliefs.
         exchangeable: `(*batch, N, N)` bool, of which the upper triangle is read.
+        noise_model: what the noise makes of the covariance of the data.
 
     Returns:
         Components and which of them are in use, for `draw_configurations`.
@@ -163,7 +170,8 @@ def labellings(
         exchanged = beliefs.objects
         for slot, place in ((n, m), (m, n)):
             at = torch.full_like(prior.label[..., 0], slot)
-            whitener = whiten(measurement, background(beliefs, measurement, torch.full_like(at, place)))
+            others = background(beliefs, measurement, torch.full_like(at, place), noise_model=noise_model)
+            whitener = whiten(measurement, others)
             one = ObjectBelief(*(take(t, at) for t in as_belief(prior)))
             belief = object_belief(whitener, take(response, at), take(prior.power, at), one)
             exchanged = ObjectBelief(*(put(t, at, v) for t, v in zip(exchanged, belief, strict=True)))

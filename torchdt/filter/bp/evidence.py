@@ -16,19 +16,18 @@ from torchdt.filter.bp.configurations import Configurations, log_probability
 from torchdt.filter.bp.moments import signal_covariance
 from torchdt.filter.bp.schedule import Beliefs, as_belief
 from torchdt.filter.state import Objects
-from torchdt.model.measurement import (
-    Measurement,
-    gaussian_log_likelihood,
-    low_rank_log_likelihood,
-    mask_covariance,
-)
-from torchdt.model.noise.base import Noise
+from torchdt.model.measurement import Measurement, gaussian_log_likelihood
+from torchdt.model.noise.base import Noise, NoiseModel
+from torchdt.model.noise.white import WHITE
 
 
-def gaussian_evidence(beliefs: Beliefs, measurement: Measurement) -> Tensor:
-    """`log CN(z; 0, sum_n r_n E[gamma] E[a a^H] + E[eta] I)` under predicted beliefs, `(*batch,)`."""
+def gaussian_evidence(beliefs: Beliefs, measurement: Measurement, noise_model: NoiseModel = WHITE) -> Tensor:
+    """`log CN(z; 0, sum_n r_n E[gamma] E[a a^H] + E[eta] I)` under predicted beliefs, `(*batch,)`.
+
+    Instead of `eta I` stands what the noise model makes of it.
+    """
     signal = signal_covariance(beliefs.strength, beliefs.moment)
-    covariance = mask_covariance(signal, beliefs.noise.mean, measurement.present)
+    covariance = noise_model.covariance(signal, beliefs.noise.mean, measurement.present)
     return gaussian_log_likelihood(measurement, covariance).sum(-1)
 
 
@@ -39,6 +38,7 @@ def sampled_evidence(
     measurement: Measurement,
     configurations: Configurations,
     diffuse: Tensor | None = None,
+    noise_model: NoiseModel = WHITE,
 ) -> Tensor:
     """`log mean_s f(z | c_s) p(c_s) / q(c_s)` over configurations `c_s ~ q`, `(*batch,)`.
 
@@ -52,6 +52,7 @@ def sampled_evidence(
         configurations: S draws on the same support points.
         diffuse: `(*batch, N, I, M, M)` complex covariance, per unit power, of what the objects send beside
             their responses; None where the model is exact.
+        noise_model: what the noise makes of the covariance of the data.
 
     Raises:
         NumericalError: where a covariance is not positive definite or the result not finite.
@@ -61,24 +62,19 @@ def sampled_evidence(
     amplitude = exists.unsqueeze(-2) * power.sqrt()  # (*batch, N, I, S)
     particle = state[..., None, :, None].expand(*power.shape, response.shape[-1])
     columns = response.gather(-2, particle).to(torch.complex128) * amplitude[..., None]
-    columns = columns.movedim(-4, -1)  # (*batch, I, S, M, N)
-    per_sample = Measurement(
-        measurement.factor.unsqueeze(-3).to(columns.dtype),
-        measurement.num_snapshots.unsqueeze(-1),
-        measurement.present.unsqueeze(-2),
-    )
-    variance = noise.variance.gather(-1, level)
+    columns = columns.movedim((-4, -2), (-1, -4))  # (*batch, S, I, M, N)
+    per_sample = measurement._replace(factor=measurement.factor.to(columns.dtype)).unsqueeze()
+    variance = noise.variance.gather(-1, level).movedim(-1, -2)
     if diffuse is None:
-        log_likelihood = low_rank_log_likelihood(per_sample, columns, variance)
+        log_likelihood = noise_model.log_likelihood(per_sample, columns, variance)
     else:
         weights = (exists.unsqueeze(-2) * power).movedim(-3, -1).to(columns.dtype)  # (*batch, I, S, N)
         flat = diffuse.movedim(-4, -3).flatten(-2).to(columns.dtype)  # (*batch, I, N, M M)
-        signal = columns @ columns.mH
-        signal = signal + (weights @ flat).unflatten(-1, signal.shape[-2:])
-        covariance = mask_covariance(signal, variance, per_sample.present)
+        signal = columns @ columns.mH + (weights @ flat).unflatten(-1, diffuse.shape[-2:]).movedim(-4, -3)
+        covariance = noise_model.covariance(signal, variance, per_sample.present)
         log_likelihood = gaussian_log_likelihood(per_sample, covariance)
     log_weight = (
-        log_likelihood.sum(-2)
+        log_likelihood.sum(-1)
         + log_probability(as_belief(prior), exists, state, power_index)
         + noise.log_weight.gather(-1, level).sum(-2)
         - log_proposal

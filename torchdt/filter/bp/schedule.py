@@ -17,9 +17,9 @@ from torchdt.filter.bp.messages import ObjectBelief, object_belief
 from torchdt.filter.bp.moments import response_moment, signal_covariance, signal_without_each, without
 from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.state import Objects
-from torchdt.model.measurement import Measurement, mask_covariance
-from torchdt.model.noise.base import Noise
-from torchdt.model.noise.white import update_noise
+from torchdt.model.measurement import Measurement
+from torchdt.model.noise.base import Noise, NoiseModel
+from torchdt.model.noise.white import WHITE
 
 
 class Beliefs(NamedTuple):
@@ -70,6 +70,7 @@ def update(
     sweeps: int = 3,
     schedule: str = "sequential",
     initial: Beliefs | None = None,
+    noise_model: NoiseModel = WHITE,
 ) -> Beliefs:
     """BP update of one time step on fixed particles.
 
@@ -81,6 +82,7 @@ def update(
         sweeps: passes over all objects; the noise is updated after each.
         schedule: `sequential` or `flooding`.
         initial: beliefs to start from; the predicted ones if None.
+        noise_model: what the noise makes of the covariance of the data.
 
     Raises:
         NumericalError: where a covariance is not positive definite or a message not finite.
@@ -88,41 +90,46 @@ def update(
     beliefs = initial_beliefs(prior, response, noise) if initial is None else initial
     one_sweep = _sequential_sweep if schedule == "sequential" else _flooding_sweep
     for _ in range(sweeps):
-        beliefs = one_sweep(prior, response, measurement, beliefs)
+        beliefs = one_sweep(prior, response, measurement, beliefs, noise_model)
         signal = signal_covariance(beliefs.strength, beliefs.moment)
-        beliefs = beliefs._replace(noise=update_noise(noise, measurement, signal))
+        beliefs = beliefs._replace(noise=noise_model.update(noise, measurement, signal))
     return beliefs
 
 
 def background(
-    beliefs: Beliefs, measurement: Measurement, index: Tensor, found: Tensor | None = None
+    beliefs: Beliefs,
+    measurement: Measurement,
+    index: Tensor,
+    found: Tensor | None = None,
+    noise_model: NoiseModel = WHITE,
 ) -> Tensor:
     """What one object per batch element is tested against, `(*batch, I, M, M)`.
 
-    `Sigma = sum_{m != n} strength_m E[a_m a_m^H] + E[eta] I`, and the diffuse part of object n itself, at
-    its power given existence: what no response explains must not count as evidence for one.
+    `Sigma = sum_{m != n} strength_m E[a_m a_m^H] + E[eta] I` (white noise), and the diffuse part of object n
+    itself, at its power given existence: what no response explains must not count as evidence for one.
 
     Args:
         beliefs: of all objects.
         measurement: statistics of the step.
         index: `(*batch,)` the object.
         found: `(*batch, I, M, M)` covariance of signals that are no objects yet.
+        noise_model: what the noise makes of the covariance of the data.
     """
     signal = signal_covariance(without(beliefs.strength, index), beliefs.moment)
     signal = signal if found is None else signal + found
     if beliefs.diffuse is not None:
         signal = signal + take(beliefs.power, index)[..., None, None] * take(beliefs.diffuse, index)
-    return mask_covariance(signal, beliefs.noise.mean, measurement.present)
+    return noise_model.covariance(signal, beliefs.noise.mean, measurement.present)
 
 
 def _sequential_sweep(
-    prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs
+    prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs, noise_model: NoiseModel
 ) -> Beliefs:
     order = strongest_first(beliefs.strength)
     # Empty slots sort last and have nothing to say; how many there are differs across the batch.
     for visit in range(int(prior.log_odds.isfinite().sum(-1).max())):
         index = order[..., visit]
-        whitener = whiten(measurement, background(beliefs, measurement, index))
+        whitener = whiten(measurement, background(beliefs, measurement, index, noise_model=noise_model))
         slot_response, slot_power = take(response, index), take(prior.power, index)
         slot_prior = ObjectBelief(*(take(t, index) for t in as_belief(prior)))
         slot = object_belief(whitener, slot_response, slot_power, slot_prior)
@@ -152,13 +159,15 @@ def store(beliefs: Beliefs, index: Tensor, slot: ObjectBelief, power: Tensor, mo
     )
 
 
-def _flooding_sweep(prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs) -> Beliefs:
+def _flooding_sweep(
+    prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs, noise_model: NoiseModel
+) -> Beliefs:
     per_object = measurement.unsqueeze()
     signal = signal_without_each(beliefs.strength, beliefs.moment)
     if beliefs.diffuse is not None:
         signal = signal + beliefs.power[..., None, None] * beliefs.diffuse
     noise = beliefs.noise.mean[..., None, :]
-    whitener = whiten(per_object, mask_covariance(signal, noise, per_object.present))
+    whitener = whiten(per_object, noise_model.covariance(signal, noise, per_object.present))
     objects = object_belief(whitener, response, prior.power, as_belief(prior))
     power = weighted_mean(prior.power, objects.log_power_weight)
     moment = response_moment(response, objects.log_weight)

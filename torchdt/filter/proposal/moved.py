@@ -19,6 +19,8 @@ from torchdt.filter.bp.schedule import Beliefs, as_belief, background, store
 from torchdt.filter.state import Objects
 from torchdt.model.existence import drop_outside
 from torchdt.model.measurement import Measurement
+from torchdt.model.noise.base import NoiseModel
+from torchdt.model.noise.white import WHITE
 from torchdt.model.region import Region
 
 
@@ -71,6 +73,7 @@ def propose_adapted(
     found: Tensor | None = None,
     *,
     gradient: str = "score",
+    noise_model: NoiseModel = WHITE,
 ) -> tuple[Objects, Tensor, Beliefs]:
     """Redraw the particles of every object where prediction and likelihood meet.
 
@@ -88,6 +91,7 @@ def propose_adapted(
         found: `(*batch, I, M, M)` covariance of signals that are no objects yet.
         gradient: how the particles depend on the prediction: `score` keeps them and moves their weights,
             `reparameterised` moves them.
+        noise_model: what the noise makes of the covariance of the data.
 
     Returns:
         The objects with new particles; their responses `(*batch, N, I, P, M)`; beliefs after this first
@@ -99,7 +103,7 @@ def propose_adapted(
     num_objects = predicted.log_odds.shape[-1]
     for slot in range(num_objects):
         index = torch.full_like(predicted.label[..., 0], slot)
-        whitener = whiten(measurement, background(beliefs, measurement, index, found))
+        whitener = whiten(measurement, background(beliefs, measurement, index, found, noise_model))
         slot_prior = ObjectBelief(*(take(t, index) for t in as_belief(predicted)))
         power = take(predicted.power, index)
 

@@ -25,10 +25,10 @@ from torchdt.filter.proposal.neighbourhood import cell_around, drop_foreign, gro
 from torchdt.filter.proposal.strongest import strongest_cell
 from torchdt.filter.state import Objects
 from torchdt.model.existence import drop_outside
-from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask_covariance
+from torchdt.model.measurement import Measurement, gaussian_log_likelihood
 from torchdt.model.model import Model
-from torchdt.model.noise.base import Noise
-from torchdt.model.noise.white import update_noise
+from torchdt.model.noise.base import Noise, NoiseModel
+from torchdt.model.noise.white import WHITE
 from torchdt.model.region import Region
 
 UNSETTLED = 0.25
@@ -68,6 +68,7 @@ def search(
     rounds: Tensor,
     *,
     refine: bool = True,
+    noise_model: NoiseModel = WHITE,
 ) -> tuple[Picks | None, Noise]:
     """Pick cells and refine them.
 
@@ -79,20 +80,21 @@ def search(
         threshold: `(*batch,)`, smallest log-likelihood ratio at its peak that is worth a new object.
         rounds: `(*batch, Q, rounds, S, d)` standard normal draws; Q is the largest number of picks.
         refine: look for the peak between the grid's points; else a pick stays at the centre of its cell.
+        noise_model: what the noise makes of the covariance of the data.
 
     Returns:
         The picks, as many as any batch element needs (None if no element needs any), and the noise belief
         with the known objects and the picks explained.
     """
-    known, belief = signal, update_noise(noise, measurement, signal)
+    known, belief = signal, noise_model.update(noise, measurement, signal)
     # While the noise level is unknown, sources that are many and equal each pass for noise: look further.
     unsettled = _log_variance(noise).amax(-1) > UNSETTLED
     alive = torch.ones_like(free, dtype=torch.bool)
     found: list[tuple[Tensor, ...]] = []
     scattered: list[Tensor] = []
-    gains = [_log_likelihood(measurement, signal, belief)]
+    gains = [_log_likelihood(measurement, signal, belief, noise_model)]
     for pick in range(rounds.shape[-4]):
-        whitener = whiten(measurement, mask_covariance(signal, belief.mean, measurement.present))
+        whitener = whiten(measurement, noise_model.covariance(signal, belief.mean, measurement.present))
         score, cell = strongest_cell(dictionary, whitener, alive)
         alive = alive & ((score > threshold) | unsettled) & (pick < free)
         if not bool(alive.any()):
@@ -111,8 +113,8 @@ def search(
             scattered.append(scatter)
             moment = moment + scatter
         signal = signal + power[..., None, None] * moment
-        belief = update_noise(noise, measurement, signal)
-        gains.append(_log_likelihood(measurement, signal, belief))
+        belief = noise_model.update(noise, measurement, signal)
+        gains.append(_log_likelihood(measurement, signal, belief, noise_model))
         found.append((position, power, scale, moment, alive))
     if not found:
         return None, belief
@@ -125,7 +127,7 @@ def search(
     active = torch.where(unsettled[..., None], worthy, alive)
     power = torch.where(active[..., None], power, 0.0)
     if bool((alive & ~active).any()):
-        belief = update_noise(noise, measurement, known + signal_covariance(power, moment))
+        belief = noise_model.update(noise, measurement, known + signal_covariance(power, moment))
     diffuse = torch.stack(scattered, dim) if scattered else None
     picks = Picks(position, power, scale, moment, diffuse, active)
     return (picks if bool(active.any()) else None), belief
@@ -138,8 +140,10 @@ def _log_variance(noise: Noise) -> Tensor:
     return weighted_mean((log_value - mean[..., None]).square(), noise.log_weight)
 
 
-def _log_likelihood(measurement: Measurement, signal: Tensor, noise: Noise) -> Tensor:
-    covariance = mask_covariance(signal, noise.mean, measurement.present)
+def _log_likelihood(
+    measurement: Measurement, signal: Tensor, noise: Noise, noise_model: NoiseModel
+) -> Tensor:
+    covariance = noise_model.covariance(signal, noise.mean, measurement.present)
     return gaussian_log_likelihood(measurement, covariance).sum(-1)
 
 
@@ -181,7 +185,7 @@ def propose_newborn(
         signal: `(*batch, I, M, M)` covariance of the known objects.
         noise: noise belief with known objects and picks explained.
         power_max: `(*batch, I)` upper limit of the powers.
-        model: statistical model, for powers and states of new objects.
+        model: statistical model, for powers and states of new objects, and noise.
         power_points: number G of their support points.
         log_odds: `(*batch,)`, prior log-odds of an object in one cell.
         draws: at least as many as picks.
@@ -199,7 +203,7 @@ def propose_newborn(
     if picks.diffuse is not None:
         others = others + picks.power[..., None, None] * picks.diffuse
     per_pick = measurement.unsqueeze()
-    whitener = whiten(per_pick, mask_covariance(others, noise.mean[..., None, :], per_pick.present))
+    whitener = whiten(per_pick, model.noise.covariance(others, noise.mean[..., None, :], per_pick.present))
 
     def log_likelihood(position: Tensor) -> Tensor:
         message = state_message(whitener, respond(field, position), power, log_power_weight)

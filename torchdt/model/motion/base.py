@@ -63,7 +63,7 @@ class Motion(Protocol):
         """The motion in a region, with numbers of its type and on its device."""
         ...
 
-    def select(self, sequences: slice) -> Self:
+    def select(self, sequences: slice | list[int]) -> Self:
         """The motion of some sequences of a batch."""
         ...
 

@@ -1,47 +1,33 @@
 """White noise: of the same unknown variance on all sensors, which wanders from step to step."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from torchdt.core.weights import normalise
-from torchdt.model.gamma_chain import SHAPE, predict_chain, predicted_uniform_prior
-from torchdt.model.measurement import Measurement, mask_covariance
-from torchdt.model.noise.base import Noise
-from torchdt.model.part import Number, Part, number, widen
+from torchdt.model.measurement import Measurement, low_rank_log_likelihood, mask_covariance
+from torchdt.model.noise.base import BaseNoise, Noise
 
 
 @dataclass(frozen=True)
-class WhiteNoise(Part):
-    """Variance uniform up to a limit before the first step, a Gamma chain from then on: f(eta | eta').
-
-    Liang and Meyer, Sec. IV.
-
-    Attributes:
-        noise_shape: c_eta, shape of the Gamma transition, at least 1.
-    """
-
-    KEY: ClassVar[str] = "model.noise"
-
-    noise_shape: Number = number(1e2, SHAPE)
-
-    def initial(self, maximum: Tensor, num_points: int) -> Noise:
-        """Belief of the first step, see `predicted_uniform_prior`."""
-        return Noise(*predicted_uniform_prior(maximum, num_points, widen(self.noise_shape, 1)))
-
-    def predict(self, noise: Noise) -> Noise:
-        """One Gamma transition, see `predict_chain`."""
-        return Noise(*predict_chain(noise.variance, noise.log_weight, widen(self.noise_shape, 1)))
+class WhiteNoise(BaseNoise):
+    """`signal + eta I`, with eta unknown: the noise of Liang and Meyer, Sec. II-A."""
 
     def covariance(self, signal: Tensor, variance: Tensor, present: Tensor) -> Tensor:
-        """`signal + eta I`, see `mask_covariance`."""
+        """See `mask_covariance`."""
         return mask_covariance(signal, variance, present)
 
     def update(self, prior: Noise, measurement: Measurement, signal: Tensor) -> Noise:
-        """Weight the support points by the data, see `update_noise`."""
+        """One eigendecomposition for all support points, see `update_noise`."""
         return update_noise(prior, measurement, signal)
+
+    def log_likelihood(self, measurement: Measurement, columns: Tensor, variance: Tensor) -> Tensor:
+        """Matrices of the size of the few columns, see `low_rank_log_likelihood`."""
+        return low_rank_log_likelihood(measurement, columns, variance)
+
+
+WHITE = WhiteNoise()
 
 
 def update_noise(prior: Noise, measurement: Measurement, signal: Tensor) -> Noise:
