@@ -1,8 +1,8 @@
 """Compare estimators of the likelihood's gradient: `python experiments/gradients.py --help`."""
 
-from torchdt.app.job import job
+from laboratory import job
 
-main = job("gradients")
+main = job("gradients", "studies")
 
 if __name__ == "__main__":
     main()

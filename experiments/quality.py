@@ -1,8 +1,8 @@
 """Score the tracker on a suite of scenarios: `python experiments/quality.py --help`."""
 
-from torchdt.app.job import job
+from laboratory import job
 
-main = job("quality")
+main = job("quality", "studies")
 
 if __name__ == "__main__":
     main()

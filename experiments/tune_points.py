@@ -1,8 +1,8 @@
 """Tune a two-step tracker for the lowest GOSPA: `python experiments/tune_points.py --help`."""
 
-from torchdt.app.job import job
+from laboratory import job
 
-main = job("tune_points")
+main = job("tune_points", "studies")
 
 if __name__ == "__main__":
     main()

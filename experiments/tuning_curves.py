@@ -4,8 +4,8 @@ import argparse
 
 from rich.table import Table
 
+from studies.curves import curves_figure, read_curve
 from torchdt.app.report.console import plain_console
-from torchdt.app.report.curves import curves_figure, read_curve
 
 
 def main() -> None:

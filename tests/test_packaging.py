@@ -8,9 +8,12 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+
+import torchdt
 
 ROOT = Path(__file__).parents[1]
 WANTED = ("pyproject.toml", "README.md", "LICENSE", "torchdt", "conf")
@@ -83,8 +86,9 @@ def test_wheel_holds_the_configuration(names):
 def test_wheel_holds_the_code_and_nothing_else(names):
     code = {str(path.relative_to(ROOT)) for path in ROOT.glob("torchdt/**/*.py")}
     assert code | {"torchdt/py.typed", "torchdt/conf/__init__.py"} <= names
-    assert {name.partition("/")[0] for name in names} == {"torchdt", "torchdt-0.1.0.dist-info"}
-    assert "torchdt-0.1.0.dist-info/licenses/LICENSE" in names
+    metadata = f"torchdt-{torchdt.__version__}.dist-info"
+    assert {name.partition("/")[0] for name in names} == {"torchdt", metadata}
+    assert f"{metadata}/licenses/LICENSE" in names
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +109,7 @@ def test_installed_wheel_finds_its_configuration(installed, tmp_path):
 def test_installed_wheel_has_the_command(installed, tmp_path):
     environment = os.environ | {"PYTHONPATH": str(installed)}
     said = run(installed / "bin" / "torchdt", "--version", cwd=tmp_path, env=environment)
-    assert said == f"torchdt {project()['project']['version']}\n"
+    assert said == f"torchdt {torchdt.__version__}\n"
 
 
 def test_own_configuration_with_an_installed_wheel(installed, tmp_path):
@@ -150,6 +154,6 @@ def test_extras_that_are_named_exist():
 
 
 def test_versions_agree():
-    version = project()["project"]["version"]
-    assert f"version: {version}\n" in (ROOT / "CITATION.cff").read_text()
-    assert version in (ROOT / "CHANGELOG.md").read_text()
+    assert f"version: {torchdt.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert torchdt.__version__ in (ROOT / "CHANGELOG.md").read_text()
+    assert version("torchdt") == torchdt.__version__

@@ -1,7 +1,6 @@
 """Settings of the API documentation: `python -m sphinx -W -b html docs/api build/api`."""
 
 import re
-from importlib.metadata import version as version_of
 from pathlib import Path
 
 from sphinx.application import Sphinx
@@ -10,7 +9,7 @@ import torchdt
 
 project = "torchdt"
 author = "The torchdt developers"
-version = release = version_of(project)
+version = release = torchdt.__version__
 
 extensions = ["sphinx.ext.apidoc", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 exclude_patterns = ["modules/modules.rst"]

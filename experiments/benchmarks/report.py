@@ -12,8 +12,8 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.table import Table
 
+from torchdt.app.report.csv_file import write_table
 from torchdt.app.report.files import write_json
-from torchdt.app.report.quality import write_table
 
 HIGH = 1e-3
 """Share of the largest power above which peaks are compared."""

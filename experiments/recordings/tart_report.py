@@ -1,7 +1,5 @@
 """The sky over a radio array: tables and a figure."""
 
-import csv
-import io
 import os
 from collections.abc import Mapping
 
@@ -13,8 +11,8 @@ from rich.table import Table
 from torch import Tensor
 
 from recordings.tart_score import CLOSE, SkyScore
+from torchdt.app.report.csv_file import write_csv
 from torchdt.app.report.figures import COLOURS, MARKERS, to_array
-from torchdt.core.atomic import atomic_write
 from torchdt.filter.history import TrackHistory
 
 
@@ -34,12 +32,7 @@ def print_sky(console: Console, scores: Mapping[str, SkyScore], title: str) -> N
 
 def write_sky_csv(path: str | os.PathLike[str], scores: Mapping[str, SkyScore]) -> None:
     """Write one row for each method; an empty cell is a score that it does not have."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(("method", *SkyScore._fields))
-    writer.writerows((method, *score) for method, score in scores.items())
-    with atomic_write(path) as file:
-        file.write(buffer.getvalue().encode())
+    write_csv(path, ("method", *SkyScore._fields), ((method, *score) for method, score in scores.items()))
 
 
 def sky_figure(history: TrackHistory, truth: Tensor) -> Figure:

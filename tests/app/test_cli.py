@@ -2,11 +2,11 @@
 
 import subprocess
 import sys
-from importlib.metadata import version
 
 import pytest
 from oracles.scripts import SMALL, call
 
+from torchdt import __version__
 from torchdt.app import cli
 
 FAST = ("scenario=line_array", *SMALL, "scenario.num_steps=3", "logging=quiet")
@@ -88,7 +88,7 @@ def test_help_and_version(torchdt):
     for name, summary in cli.COMMANDS.items():
         assert f"{name} " in out
         assert summary.split()[0] in out
-    assert torchdt("--version")[:2] == (0, f"torchdt {version('torchdt')}\n")
+    assert torchdt("--version")[:2] == (0, f"torchdt {__version__}\n")
 
 
 def test_every_command_exists(torchdt):

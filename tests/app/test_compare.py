@@ -11,11 +11,12 @@ from omegaconf import OmegaConf
 from oracles.scripts import call, load
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from torchdt.app import compare
+from torchdt.app import stage
 from torchdt.app.build import build_region
-from torchdt.app.compare import CompareSettings, Outcome, Stage, beside, draw_comparison
+from torchdt.app.compare import CompareSettings, beside
+from torchdt.app.outcomes import Outcome
 from torchdt.app.report.compare_tables import Comparison
-from torchdt.app.report.quality import Quality
+from torchdt.app.report.scores import Quality
 from torchdt.core.errors import InputError
 from torchdt.data.recording import validate
 from torchdt.metrics import Gospa
@@ -34,8 +35,8 @@ def outcome(tmp_path_factory):
     """A scenario and a tracker that do not exist among those that do, and who was called with what."""
     directory = tmp_path_factory.mktemp("compare")
     small = ",".join(f'"{o}"' for o in SMALL)
-    names = ("simulate", "build_tracking_field", "surface_figure")
-    spies = {name: mock.patch.object(compare, name, wraps=getattr(compare, name)) for name in names}
+    names = ("simulate_each", "build_tracking_field", "surface_figure")
+    spies = {name: mock.patch.object(stage, name, wraps=getattr(stage, name)) for name in names}
     calls = {name: spy.start() for name, spy in spies.items()}
     status, out, _ = call(
         load("compare"),
@@ -88,7 +89,7 @@ def test_failures_are_recorded_and_reported(outcome):
 
 def test_trackers_share_recording_and_field(outcome):
     *_, calls = outcome
-    assert calls["simulate"].call_count == calls["build_tracking_field"].call_count == 1
+    assert calls["simulate_each"].call_count == calls["build_tracking_field"].call_count == 1
 
 
 def test_a_tracker_scores_what_it_scores_alone(outcome, alone):
@@ -158,13 +159,13 @@ def test_figures_of_a_waveguide(settings):
     recording = validate(step_s=1.0, snapshots=torch.zeros(2, 3, 1, 1, 1, dtype=torch.complex64), truth=truth)
     surface = torch.rand(4, 3), [torch.linspace(0, 5000, 4), torch.linspace(0, 200, 3)]
     region, hidden = build_region(track_settings, torch.float32), torch.tensor([False, True, False])
-    stage = Stage(track_settings, recording, None, region, hidden, 2, surface)
+    shared = stage.Stage(track_settings, range(2), recording, None, 0.0, region, hidden, 2, surface)
     score = Gospa(*[torch.tensor([[1.0, 5.0, 3.0]] * 2)] * 6)
     outcomes = {
         name: Outcome(Quality("x"), score, torch.full((number, 2), 50.0))
         for number, name in enumerate(("direct", "mp_bp"), start=1)
     }
-    figures = draw_comparison(stage, outcomes)
+    figures = stage.draw_comparison(shared, outcomes)
     drawn = {
         name: {line.get_label(): line.get_xydata() for line in figure.axes[0].lines}
         for name, figure in figures.items()
@@ -183,9 +184,7 @@ def test_figures_of_a_waveguide(settings):
 
 def test_defaults():
     with initialize_config_module("torchdt.conf", version_base="1.3"):
-        settings, quality = (OmegaConf.to_object(compose(name)) for name in ("compare", "quality"))
-    assert settings.suite == quality.suite
-    assert (settings.separation, settings.switch_cost) == (quality.separation, quality.switch_cost)
+        settings = OmegaConf.to_object(compose("compare"))
     assert settings.trackers == ["direct", "direct_paper", "mp_bp", "sbl_bp"]
     assert (settings.runs, settings.seed, settings.surface_step) == (10, 0, 200)
 
@@ -193,13 +192,9 @@ def test_defaults():
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
-        ({"suite": []}, "suite"),
         ({"trackers": []}, "trackers"),
         ({"trackers": ["direct", "direct"]}, "trackers"),
         ({"runs": 0}, "runs"),
-        ({"surface_step": -1}, "surface_step"),
-        ({"separation": math.inf}, "separation"),
-        ({"switch_cost": 0.0}, "switch_cost"),
     ],
 )
 def test_bad_settings(changes, key):

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from torchdt.app.outcomes import KIND, Outcome, load_outcomes, save_outcomes
-from torchdt.app.report.quality import Quality
+from torchdt.app.report.scores import Quality
 from torchdt.core.errors import InputError
 from torchdt.metrics import Gospa
 from torchdt.run.checkpoint import save_checkpoint

@@ -1,9 +1,11 @@
 """Objects from settings: fields, recordings, trackers."""
 
 import functools
+import itertools
 import logging
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +131,13 @@ def simulate(settings: TrackSettings) -> Recording:
         step_s=scenario.step_s,
         name=scenario.name,
     )
+
+
+def simulate_each(settings: TrackSettings, seeds: Sequence[int]) -> Recording:
+    """Simulate one sequence for each seed; consecutive seeds share a call of `simulate`."""
+    groups = itertools.groupby(enumerate(seeds), key=lambda pair: pair[1] - pair[0])
+    runs = [[seed for _, seed in group] for _, group in groups]
+    return stack_recordings([simulate(replace(settings, seed=run[0], runs=len(run))) for run in runs])[0]
 
 
 def check_coordinates(settings: TrackSettings, num_coordinates: int) -> None:

@@ -4,11 +4,11 @@ import argparse
 import os
 import sys
 from importlib import import_module
-from importlib.metadata import version
 
 import hydra
 from omegaconf import DictConfig
 
+from torchdt import __version__
 from torchdt.core.endings import INTERRUPTED, end
 
 JOBS = {
@@ -48,7 +48,7 @@ def main() -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"torchdt {version('torchdt')}")
+    parser.add_argument("--version", action="version", version=f"torchdt {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
     for name, summary in COMMANDS.items():
         commands.add_parser(name, help=summary, add_help=False)

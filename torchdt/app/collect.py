@@ -9,10 +9,10 @@ from pathlib import Path
 import torch
 from matplotlib.figure import Figure
 
-from torchdt.app.quality import confidence
 from torchdt.app.report.collect import Row, interval_figure, print_rows, write_rows
 from torchdt.app.report.collect_runs import Run, read_runs
 from torchdt.app.report.console import plain_console, printable
+from torchdt.app.suite import confidence
 from torchdt.core.atomic import atomic_write
 from torchdt.core.errors import InputError, StorageError
 

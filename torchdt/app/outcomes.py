@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, get_origin
 
 from torch import Tensor
 
-from torchdt.app.report.quality import Quality
+from torchdt.app.report.scores import Quality
 from torchdt.core.errors import InputError
 from torchdt.metrics import Gospa
 from torchdt.run.checkpoint import load_checkpoint, require_like, save_checkpoint

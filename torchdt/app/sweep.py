@@ -15,9 +15,8 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from torchdt.app.claims import claim_run, release_run
-from torchdt.app.quality import one_line
 from torchdt.app.report.files import write_json
-from torchdt.core.errors import StorageError
+from torchdt.core.errors import StorageError, one_line
 from torchdt.run.claim import InUseError
 
 log = logging.getLogger(__name__)

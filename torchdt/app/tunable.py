@@ -13,10 +13,9 @@ from torchdt.app.build import (
     build_region,
     build_tracking_field,
     recorded_target,
-    simulate,
+    simulate_each,
 )
 from torchdt.app.environment import waveguide_family
-from torchdt.app.quality import consecutive
 from torchdt.app.settings import TrackSettings
 from torchdt.core.errors import require
 from torchdt.core.support import Quantity
@@ -61,8 +60,7 @@ def gather(settings: TrackSettings, seeds: Sequence[int], paths: Sequence[str], 
         number = sum(r.batch_size for r in recordings)
         seeds = range(settings.seed, settings.seed + number)
     else:
-        groups = consecutive(seeds)
-        recordings = [simulate(replace(settings, seed=group[0], runs=len(group))) for group in groups]
+        recordings = [simulate_each(settings, seeds)]
     return SequenceSet(*stack_recordings(recordings, pad), list(seeds))
 
 

@@ -39,3 +39,8 @@ def require(holds: bool, key: str, found: object, expected: object) -> None:
     """Raise the `InputError` of a key where a condition does not hold."""
     if not holds:
         raise InputError.of_key(key, found, expected)
+
+
+def one_line(error: Exception) -> str:
+    """What a cell of a table takes of an error; the log has all of it."""
+    return f"{type(error).__name__}: {error}".splitlines()[0]

@@ -14,7 +14,7 @@ from torchdt.app.report.compare_tables import (
     write_events,
     write_gospa_table,
 )
-from torchdt.app.report.quality import Quality
+from torchdt.app.report.scores import Quality
 
 ROWS = [
     Comparison("weak", tracker="direct", gospa=1.5, gospa_ci=0.25, gospa_by_run=[1.25, 1.75], ahead=0.0),

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
+from torchdt.app.report.csv_file import write_table
 from torchdt.app.report.figures import COLOURS, MARKERS
-from torchdt.app.report.quality import write_table
 
 
 class Row(NamedTuple):

@@ -13,17 +13,16 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
+from torchdt.app.report.csv_file import write_table
 from torchdt.app.report.events import EventReport
 from torchdt.app.report.files import seconds, write_json
-from torchdt.app.report.quality import Quality, write_table
+from torchdt.app.report.scores import Quality
 from torchdt.metrics import Gospa
 
 
 @dataclass
 class Comparison(Quality):
     """Scores of one tracker in one scenario, and how they compare with those of the first tracker.
-
-    The first tracker's field is shared, so `seconds` are those of building the tracker and of tracking.
 
     Attributes:
         tracker: its name.

@@ -1,7 +1,5 @@
 """The files of a run directory: `gospa.csv`, `tracks.csv`, `metrics.json`, `manifest.json`."""
 
-import csv
-import io
 import json
 import math
 import os
@@ -15,6 +13,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 import torchdt
+from torchdt.app.report.csv_file import write_csv
 from torchdt.core.atomic import atomic_write, storing
 from torchdt.filter.history import TrackHistory
 from torchdt.metrics import Gospa
@@ -197,13 +196,8 @@ def write_figures(directory: Path, figures: Mapping[str, Figure]) -> None:
 
 
 def _write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(header)
     # Nine digits give a single-precision number back exactly.
-    writer.writerows([f"{v:.9g}" if isinstance(v, float) else v for v in row] for row in rows)
-    with atomic_write(path) as file:
-        file.write(buffer.getvalue().encode())
+    write_csv(path, header, ([f"{v:.9g}" if isinstance(v, float) else v for v in row] for row in rows))
 
 
 def _finite(value: object) -> object:

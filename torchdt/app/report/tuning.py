@@ -1,7 +1,5 @@
 """What a tuning run leaves behind: tables, `tuned.yaml`, TensorBoard, figures of the likelihood."""
 
-import csv
-import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 from omegaconf import OmegaConf
 
+from torchdt.app.report.csv_file import write_csv
 from torchdt.app.report.events import EventReport
 from torchdt.app.report.figures import COLOURS
 from torchdt.core.atomic import atomic_write
@@ -40,15 +39,14 @@ def write_tuning_csv(path: str | os.PathLike[str], records: Sequence[Record]) ->
     """
     # The last step of an ascent takes no gradient, the first has what there is.
     norms = list(records[0].gradient_norms)
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    header = ["step", "objective", "heldout", "skipped", "passes", *numbers(records[0].values)]
-    writer.writerow([*header, *(f"gradient_{name}" for name in norms)])
-    for r in records:
-        row = [r.step, r.objective, r.heldout, r.skipped, r.passes, *numbers(r.values).values()]
-        writer.writerow([*row, *(r.gradient_norms.get(name) for name in norms)])
-    with atomic_write(path) as file:
-        file.write(buffer.getvalue().encode())
+    own = ("step", "objective", "heldout", "skipped", "passes")
+    header = [*own, *numbers(records[0].values), *(f"gradient_{name}" for name in norms)]
+
+    def row(r: Record) -> list[object]:
+        values = numbers(r.values).values()
+        return [*(getattr(r, name) for name in own), *values, *map(r.gradient_norms.get, norms)]
+
+    write_csv(path, header, map(row, records))
 
 
 def tuning_summary(

@@ -5,7 +5,8 @@ import json
 import pytest
 from rich.console import Console
 
-from torchdt.app.report.quality import TABLES, Quality, print_rows, write_rows
+from studies.quality import TABLES, print_rows, write_rows
+from torchdt.app.report.scores import Quality
 
 ROWS = [
     Quality("weak", runs=2, gospa=12.3456, gospa_ci=0.5, switches=1.5, seconds=8, gospa_by_run=[12.0, 12.6]),

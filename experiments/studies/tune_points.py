@@ -17,11 +17,11 @@ from torch import Tensor
 
 from torchdt.app.build import build_tracker, build_tracking_field, simulate
 from torchdt.app.claims import run_directory
-from torchdt.app.compare import compose_settings
+from torchdt.app.report.csv_file import write_table
 from torchdt.app.report.files import manifest, write_json
-from torchdt.app.report.quality import write_table
+from torchdt.app.score import score_history
 from torchdt.app.settings import TrackSettings
-from torchdt.app.track import score_history
+from torchdt.app.suite import compose_track
 from torchdt.baselines.detect.points import Points
 from torchdt.baselines.mot.likelihood import GaussianPosition
 from torchdt.baselines.mot.tracker import PointTracker
@@ -139,8 +139,8 @@ def run_tune_points(config: DictConfig) -> float:
 
 def detect(scenario: str, settings: TunePointsSettings) -> Detected:
     """Simulate a scenario and detect points in all of its steps, down to the lowest threshold searched."""
-    track_settings = compose_settings(
-        scenario, settings.method, settings.overrides, settings.seed, settings.runs
+    track_settings = compose_track(
+        scenario, [f"tracker={settings.method}", *settings.overrides], settings.seed, settings.runs
     )
     config = two_step(track_settings)
     lowest = config.detector.threshold * math.exp(-settings.width / FINER)

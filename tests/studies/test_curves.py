@@ -1,7 +1,7 @@
 import pytest
 from oracles.scripts import call, load
 
-from torchdt.app.report.curves import Curve, curves_figure, read_curve
+from studies.curves import Curve, curves_figure, read_curve
 from torchdt.core.errors import InputError
 
 

@@ -1,16 +1,15 @@
-import csv
-import json
 import math
 
 import pytest
 import torch
-from hydra import compose, initialize_config_module
+from hydra import compose
 from omegaconf import OmegaConf
 from oracles.histories import line_history
-from oracles.scripts import SMALL, call, load
+from oracles.scripts import configuration
 
-from torchdt.app.quality import QualitySettings, compose_track, confidence, consecutive, score
-from torchdt.app.report.quality import Quality
+from torchdt.app.build import simulate, simulate_each
+from torchdt.app.compare import CompareSettings
+from torchdt.app.suite import SuiteSettings, compose_track, confidence, score
 from torchdt.core.errors import InputError
 from torchdt.data.recording import validate
 from torchdt.filter.history import TrackHistory
@@ -29,49 +28,6 @@ SUITE = (
     "silence",
     "empty",
 )
-
-
-@pytest.fixture(scope="module")
-def outcome(tmp_path_factory):
-    """A suite with a scenario that does not exist in the middle."""
-    directory = tmp_path_factory.mktemp("quality")
-    small = ",".join(f'"{o}"' for o in ("calibration=none", *SMALL))
-    status, out, _ = call(
-        load("quality"),
-        f"hydra.run.dir={directory}",
-        "hydra/job_logging=none",
-        f"overrides=[{small}]",
-        "suite=[line_array,nowhere,empty]",
-        "seeds=[0,1,3]",
-        "separation=1",
-    )
-    with (directory / "quality.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    return status, out, rows, json.loads((directory / "quality.json").read_text())["scenarios"]
-
-
-def test_every_scenario_has_a_row(outcome):
-    _, out, rows, content = outcome
-    assert [row["scenario"] for row in rows] == ["line_array", "nowhere", "empty"]
-    assert list(rows[0]) == [name for name in Quality.__dataclass_fields__ if name != "gospa_by_run"]
-    assert [entry["scenario"] for entry in content] == ["line_array", "nowhere", "empty"]
-    assert all(entry["scenario"] in out for entry in content)
-    line = content[0]
-    assert line["runs"] == len(line["gospa_by_run"]) == 3
-    assert line["gospa"] == pytest.approx(sum(line["gospa_by_run"]) / 3)
-    assert line["gospa"] == pytest.approx(line["localisation"] + line["missed"] + line["false"])
-    assert line["steps_per_second"] > 0
-    assert line["real_time"] == pytest.approx(line["steps_per_second"] / 3)  # three runs, steps of one second
-    assert content[2]["birth_delay"] is None
-
-
-def test_failure_is_recorded_and_reported(outcome):
-    status, out, rows, content = outcome
-    assert status == 1
-    assert "nowhere" in rows[1]["error"]
-    assert "nowhere failed" in out
-    assert (rows[0]["error"], rows[2]["error"]) == ("", "")
-    assert content[1]["gospa"] is None
 
 
 @pytest.mark.parametrize("name", SUITE)
@@ -147,7 +103,7 @@ def test_score(settings):
     bad = line_history([[0, 0], [0, 0], [3, 4]], [[30.0, 40]] * 3)
     history = TrackHistory(*(torch.stack(pair) for pair in zip(good, bad, strict=True)))
     recording = validate(step_s=1.0, snapshots=torch.zeros(2, 3, 1, 1, 1, dtype=torch.complex64), truth=truth)
-    row = score("x", history, recording, track_settings, QualitySettings(suite=["x"], separation=1.0))
+    row = score("x", history, recording, track_settings, SuiteSettings(suite=["x"], separation=1.0))
     assert (row.runs, row.hidden) == (2, 1)
     assert row.gospa_by_run == pytest.approx([1, 10])  # cutoff 10: missed costs 5, missed and two false 15
     assert row.gospa == pytest.approx(5.5)
@@ -162,13 +118,19 @@ def test_score(settings):
 
 
 def test_default_suite():
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
-        config = compose("quality")
-    assert OmegaConf.to_object(config).suite == list(SUITE)
+    with configuration():
+        config = compose("compare")
+    assert isinstance(OmegaConf.to_object(config), CompareSettings)
+    assert config.suite == list(SUITE)
 
 
-def test_consecutive_seeds_form_batches():
-    assert consecutive([0, 1, 2, 5, 4, 5]) == [[0, 1, 2], [5], [4, 5]]
+def test_a_sequence_for_each_seed(settings):
+    """The same as with a call for each of them."""
+    found = simulate_each(settings(), [0, 1, 5])
+    for b, seed in enumerate((0, 1, 5)):
+        alone = simulate(settings(f"seed={seed}"))
+        assert torch.equal(found.data[b], alone.data[0])
+        torch.testing.assert_close(found.truth[b], alone.truth[0], equal_nan=True, rtol=0, atol=0)
 
 
 def test_one_run_has_no_confidence_interval():
@@ -180,18 +142,19 @@ def test_one_run_has_no_confidence_interval():
     [
         ({"suite": []}, "suite"),
         ({"suite": ["a", "a"]}, "suite"),
-        ({"seeds": []}, "seeds"),
+        ({"surface_step": -1}, "surface_step"),
         ({"separation": -1.0}, "separation"),
+        ({"separation": math.inf}, "separation"),
         ({"switch_cost": 0.0}, "switch_cost"),
     ],
 )
 def test_bad_settings(changes, key):
     with pytest.raises(InputError, match=f"key '{key}'"):
-        QualitySettings(**({"suite": ["a"]} | changes))
+        SuiteSettings(**({"suite": ["a"]} | changes))
 
 
 def test_variants_have_no_row_in_a_suite():
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
-        assert compose_track(["scenario=line_array", "seed=4"]).seed == 4
+    with configuration():
+        assert compose_track("line_array", [], 4, 1).seed == 4
         with pytest.raises(InputError, match=r"key 'variants': found \[{}\], expected null in a suite"):
-            compose_track(["scenario=line_array", "variants=[{}]"])
+            compose_track("line_array", ["variants=[{}]"], 0, 1)

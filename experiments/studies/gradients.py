@@ -1,13 +1,10 @@
 """Gradients of the likelihood: their spread over the filter's random numbers, their bias, their price."""
 
-import csv
 import dataclasses
-import io
 import itertools
 import logging
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -19,11 +16,11 @@ from rich.table import Table
 
 from torchdt.app.claims import run_directory
 from torchdt.app.report.console import plain_console
+from torchdt.app.report.csv_file import write_csv
 from torchdt.app.report.files import manifest, write_json
 from torchdt.app.settings import settings_of
 from torchdt.app.tunable import build_problem, gather
 from torchdt.app.tune_settings import TuneSettings
-from torchdt.core.atomic import atomic_write
 from torchdt.core.errors import require
 from torchdt.core.ranges import Checked, Range, Steps
 from torchdt.data.prepare import prepare
@@ -85,7 +82,7 @@ def run_gradients(config: DictConfig) -> list[tuple]:
             error = spread / len(values) ** 0.5
             rows.append((gradient, truncate, name, float(np.mean(values)), spread, error, seconds))
         log.info("%s, truncate %s: %.1f s a gradient", gradient, truncate, seconds)
-        _write(directory / "gradients.csv", rows)
+        write_csv(directory / "gradients.csv", COLUMNS, rows)
     _print(rows)
     log.info("results in %s", directory)
     return rows
@@ -119,15 +116,6 @@ def differentiate(
                 key = name if value.numel() == 1 else f"{name}_{index}"
                 found.setdefault(key, []).append(entry)
     return found, float(np.median(seconds))
-
-
-def _write(path: Path, rows: list[tuple]) -> None:
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows(rows)
-    with atomic_write(path) as file:
-        file.write(buffer.getvalue().encode())
 
 
 def _print(rows: list[tuple]) -> None:

@@ -4,12 +4,11 @@ from dataclasses import replace
 import pytest
 import torch
 import yaml
-from hydra import compose, initialize_config_module
+from hydra import compose
 from oracles.line_array import make_region
-from oracles.scripts import call, load
+from oracles.scripts import call, configuration, load
 
-from torchdt.app.settings import settings_of
-from torchdt.app.tune_points import (
+from studies.tune_points import (
     TunePointsSettings,
     decode,
     detect,
@@ -17,6 +16,7 @@ from torchdt.app.tune_points import (
     evaluate,
     two_step,
 )
+from torchdt.app.settings import settings_of
 from torchdt.baselines.detect.config import PursuitConfig
 from torchdt.baselines.two_step import TwoStepConfig
 from torchdt.core.errors import InputError
@@ -116,7 +116,7 @@ def test_scenarios_that_do_not_fit_in_one_batch(search):
 
 
 def test_tuned_values_fit_the_configuration_of_the_tracker():
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
+    with configuration():
         for tracker in ("mp_bp", "sbl_bp"):
             settings = settings_of(compose("track", overrides=[f"tracker={tracker}"]))
             assert isinstance(settings.tracker, TwoStepConfig)
@@ -131,7 +131,7 @@ def test_points_below_the_threshold_that_is_tried_are_not_tracked():
         "tracker.detector.threshold=5",
     ]
     settings = TunePointsSettings(suite=["line_array"], overrides=sizes)
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
+    with configuration():
         part = detect("line_array", settings)
     assert part.points.present.any()
     config = two_step(part.settings)
