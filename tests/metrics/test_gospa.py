@@ -5,7 +5,11 @@ import pytest
 import torch
 
 from torchdt.core.errors import InputError
-from torchdt.metrics import gospa
+from torchdt.filter.history import history_like
+from torchdt.metrics import gospa, tgospa, track_delays
+from torchdt.model.distance import Euclidean
+
+F64 = torch.float64
 
 
 def score(estimates, truth, cutoff=200.0, order=1.0, dim=2):
@@ -126,3 +130,21 @@ def arguments(**changes):
 def test_bad_input(changes, message):
     with pytest.raises(InputError, match=message):
         gospa(**arguments(**changes))
+
+
+@pytest.mark.parametrize("metric", ["gospa", "tgospa", "delays"])
+def test_a_seam_is_no_distance_for_any_metric(metric):
+    """Two objects at 179 and 10, estimates at -177 and 12: 4 and 2 degrees, nothing missed."""
+    truth, found = (torch.tensor(p, dtype=F64)[:, None] for p in ([179.0, 10.0], [-177.0, 12.0]))
+    here, distance = torch.ones(2, dtype=torch.bool), Euclidean(period=(360.0,))
+    if metric == "gospa":
+        assert gospa(found, here, truth, here, 30.0, distance=distance).total.item() == 6
+        scaled = Euclidean((2.0,), (360.0,))
+        assert gospa(found, here, truth, here, 30.0, distance=scaled).total.item() == 3
+    elif metric == "tgospa":
+        assert tgospa(truth[None], found[None], 30.0, 1.0, distance=distance).total == 6
+    else:
+        history = history_like(1, 1, 2, 2, 1, F64)
+        state = torch.cat([found, torch.zeros_like(found)], -1)[None]
+        history = history._replace(state=state, declared=here[None], label=torch.tensor([[1, 2]]))
+        assert track_delays(history, truth[None], 30.0, distance=distance).birth == [0, 0]

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import pytest
 from hydra import compose, initialize_config_module
@@ -6,6 +7,7 @@ from hydra import compose, initialize_config_module
 from torchdt.app.settings import settings_of
 from torchdt.core.errors import InputError
 from torchdt.filter.config import TrackerConfig
+from torchdt.model.distance import Euclidean, GreatCircle
 from torchdt.simulation.settings import (
     CoordinateSettings,
     MismatchSettings,
@@ -64,6 +66,50 @@ def test_scenario(name, value, expected):
 def test_paths(times, positions, key, expected):
     found = positions if key == "positions" else times
     refuse(lambda: PathSettings(times, positions), f"scenario.paths.{key}", found, expected)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "found", "expected"),
+    [
+        (
+            {"gospa_scale": [1.0, 2.0]},
+            "gospa_scale",
+            [1.0, 2.0],
+            "1 numbers, as the coordinates, or null",
+        ),
+        ({"gospa_scale": [0.0]}, "gospa_scale", [0.0], "a list, each entry a positive number or null"),
+        ({"gospa_distance": "taxi"}, "gospa_distance", "taxi", "euclidean or great_circle"),
+        (
+            {"gospa_distance": "great_circle"},
+            "gospa_distance",
+            "great_circle of coordinates in m",
+            "euclidean, or coordinates azimuth, or azimuth and elevation, in deg",
+        ),
+        (
+            {
+                "gospa_distance": "great_circle",
+                "gospa_scale": [2.0],
+                "coordinates": [CoordinateSettings("azimuth", "deg")],
+            },
+            "gospa_scale",
+            [2.0],
+            "null beside a great circle, which has degrees",
+        ),
+    ],
+)
+def test_distances_that_do_not_fit(changes, key, found, expected):
+    refuse(lambda: ScenarioSettings(**changes), f"scenario.{key}", found, expected)
+
+
+def test_distance_of_a_scenario():
+    """Periods are those of the coordinates."""
+    azimuth = CoordinateSettings("azimuth", "deg", -180, 180, 5, period=360)
+    scenario = ScenarioSettings(coordinates=[azimuth, CoordinateSettings("range")])
+    assert (scenario.distance, scenario.distance_unit) == (Euclidean(None, (360, None)), "deg")
+    scaled = replace(scenario, gospa_scale=[5.0, 100.0])
+    assert (scaled.distance, scaled.distance_unit) == (Euclidean((5.0, 100.0), (360, None)), "")
+    sky = ScenarioSettings(coordinates=[azimuth], gospa_distance="great_circle")
+    assert (sky.distance, sky.distance_unit) == (GreatCircle(), "deg")
 
 
 def test_positions_have_the_coordinates_of_the_region():

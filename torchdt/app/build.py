@@ -122,7 +122,7 @@ def simulate(settings: TrackSettings) -> Recording:
                 field, region.within(field), scenario, scenario.population, stream
             )
         snapshots.append(z)
-        truth.append(position)
+        truth.append(region.wrap(position))
     most = max(position.shape[1] for position in truth)
     padded = [pad(position, (0, 0, 0, most - position.shape[1]), value=torch.nan) for position in truth]
     return validate(

@@ -43,7 +43,7 @@ def draw_figures(
     truth = None if recording.truth is None else recording.truth[0]
     figures = {"tracks": tracks_figure(first, truth, times, axes)}
     if score is not None:
-        figures["gospa"] = gospa_figure(score.select(0), times, coordinates[0].unit)
+        figures["gospa"] = gospa_figure(score.select(0), times, settings.scenario.distance_unit)
     if len(coordinates) <= 2:
         step = min(settings.logging.surface_step, recording.num_steps - 1)
         measurement = tracker.prepare(recording).measurement.at(step)

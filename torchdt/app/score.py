@@ -35,4 +35,5 @@ def _score(
         recording.truth_mask[sequences, steps],
         scenario.gospa_cutoff,
         scenario.gospa_order,
+        scenario.distance,
     )

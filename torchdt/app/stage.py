@@ -112,7 +112,8 @@ def draw_comparison(stage: Stage, outcomes: Mapping[str, Outcome]) -> dict[str, 
     truth, axes = recording.truth[0], [axis_of(c) for c in coordinates]
     scores = {name: outcome.gospa for name, outcome in outcomes.items()}
     times = recording.times()[0]
-    figures = {"gospa": gospa_comparison_figure(scores, stage.hidden, times, coordinates[0].unit)}
+    unit = stage.settings.scenario.distance_unit
+    figures = {"gospa": gospa_comparison_figure(scores, stage.hidden, times, unit)}
     if stage.surface is not None:
         estimates = {name: outcome.estimates for name, outcome in outcomes.items()}
         figures["estimates"] = surface_figure(*stage.surface, estimates, truth[stage.step], axes)

@@ -30,7 +30,7 @@ class SuiteSettings(Checked):
         name: of the configuration under test, for the run directory.
         suite: names of scenarios.
         overrides: of the configuration of `experiments/track.py`, in every scenario.
-        separation: distance below which two sources hide each other, in the coordinates' unit.
+        separation: distance below which two sources hide each other, in the unit of the scenario's distance.
         switch_cost: gamma of T-GOSPA, as a share of the scenario's cutoff.
         surface_step: step whose estimates are drawn over the ambiguity surface; the last one of shorter
             scenarios.
@@ -90,12 +90,13 @@ def score(
     visible = Gospa(*(part[:, ~hidden] for part in result))
     by_run = visible.total.mean(-1)
     gamma = settings.switch_cost * scenario.gospa_cutoff
-    cutoff, order = scenario.gospa_cutoff, scenario.gospa_order
+    cutoff, order, distance = scenario.gospa_cutoff, scenario.gospa_order, scenario.distance
     runs = [history.select(b) for b in range(len(truth))]
     switches = [
-        tgospa(truth[b], trajectories(run), cutoff, gamma, order).num_switches for b, run in enumerate(runs)
+        tgospa(truth[b], trajectories(run), cutoff, gamma, order, distance).num_switches
+        for b, run in enumerate(runs)
     ]
-    delays = [track_delays(run, truth[b], cutoff, order) for b, run in enumerate(runs)]
+    delays = [track_delays(run, truth[b], cutoff, order, distance) for b, run in enumerate(runs)]
     births, drops = (list(itertools.chain(*steps)) for steps in zip(*delays, strict=True))
     error = (visible.num_estimated - visible.num_truth).abs().double().mean()
     return Quality(

@@ -7,6 +7,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from torchdt.filter.history import TrackHistory
+from torchdt.model.distance import EUCLIDEAN, Distance, distances
 
 
 class TrackDelays(NamedTuple):
@@ -23,22 +24,30 @@ class TrackDelays(NamedTuple):
     drop: list[int]
 
 
-def track_delays(history: TrackHistory, truth: Tensor, cutoff: float, order: float = 1.0) -> TrackDelays:
+def track_delays(
+    history: TrackHistory,
+    truth: Tensor,
+    cutoff: float,
+    order: float = 1.0,
+    distance: Distance = EUCLIDEAN,
+) -> TrackDelays:
     """Delays of declaring and of dropping.
 
     Args:
         history: of one run, without batch, on the CPU.
         truth: `(K, L, d)` float64 true positions, NaN while absent; a source is present in one stretch.
-        cutoff: distance below which an estimate can be assigned to a source, in the unit of the coordinates.
+        cutoff: distance below which an estimate can be assigned to a source.
         order: of the distances in the assignment.
+        distance: of an estimate and a true position.
     """
     present = ~truth.isnan().any(-1)
     owner = torch.zeros_like(present, dtype=torch.int64)  # label of the estimate assigned, 0 = none
     reported = [history.label[k][declared] for k, declared in enumerate(history.declared)]
     for k, labels in enumerate(reported):
-        distance = torch.cdist(truth[k, present[k]], history.position[k, history.declared[k]].double())
-        i, j = linear_sum_assignment(distance.clamp_max(cutoff) ** order)
-        near = (distance[i, j] < cutoff).numpy()
+        found = history.position[k, history.declared[k]].double()
+        apart = distances(truth[k, present[k]], found, distance)
+        i, j = linear_sum_assignment(apart.clamp_max(cutoff) ** order)
+        near = (apart[i, j] < cutoff).numpy()
         owner[k, present[k].nonzero()[i[near], 0]] = labels[j[near]]
 
     births, drops = [], []
@@ -46,8 +55,8 @@ def track_delays(history: TrackHistory, truth: Tensor, cutoff: float, order: flo
         steps = present[:, source].nonzero()[:, 0]
         if not len(steps):
             continue
-        found = owner[steps, source].nonzero()[:, 0]
-        births.append(int(found[0]) if len(found) else len(steps))
+        owned = owner[steps, source].nonzero()[:, 0]
+        births.append(int(owned[0]) if len(owned) else len(steps))
         end = int(steps[-1]) + 1
         label = owner[end - 1, source]
         if end < len(truth) and label > 0:

@@ -13,6 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from torchdt.core.errors import InputError
+from torchdt.model.distance import EUCLIDEAN, Distance, distances
 
 
 class Gospa(NamedTuple):
@@ -22,7 +23,7 @@ class Gospa(NamedTuple):
     total for p = 1 only.
 
     Attributes:
-        total: the metric, in the unit of the coordinates, float64.
+        total: the metric, in the unit of the distance, float64.
         localisation: sum of `d ** p` over the assigned pairs, float64.
         missed: `c ** p / 2` per missed object, float64.
         false: `c ** p / 2` per false estimate, float64.
@@ -49,11 +50,12 @@ def gospa(
     truth_mask: Tensor,
     cutoff: float,
     order: float = 1.0,
+    distance: Distance = EUCLIDEAN,
 ) -> Gospa:
     """Compare sets of estimates with sets of true positions, with alpha = 2.
 
     Proposition 1 of the paper: the minimum over assignments of
-    `sum over pairs d(x, y)^p + c^p / 2 (number missed + number false)`, to the power 1/p, with Euclidean d.
+    `sum over pairs d(x, y)^p + c^p / 2 (number missed + number false)`, to the power 1/p.
     A pair at or beyond the cutoff costs as much as one missed and one false and is counted as these.
 
     Args:
@@ -61,8 +63,9 @@ def gospa(
         estimate_mask: `(*batch, N)` bool, which of them count.
         truth: `(*batch, L, d)` true positions; L may be zero.
         truth_mask: `(*batch, L)` bool, which of them exist. Masked entries may hold anything.
-        cutoff: c > 0, in the unit of the coordinates.
+        cutoff: c > 0, in the unit of the distance.
         order: p >= 1.
+        distance: d.
 
     Returns:
         The metric for each element of the batch, on the device of `estimates`, without gradient.
@@ -75,17 +78,17 @@ def gospa(
     x, x_mask = _flat(estimates, 2), _flat(estimate_mask, 1)
     y, y_mask = _flat(truth, 2), _flat(truth_mask, 1)
 
-    rows = [_one(x[b][x_mask[b]], y[b][y_mask[b]], cutoff, order) for b in range(math.prod(batch))]
+    rows = [_one(x[b][x_mask[b]], y[b][y_mask[b]], cutoff, order, distance) for b in range(math.prod(batch))]
     table = torch.tensor(rows, dtype=torch.float64, device=estimates.device).reshape(*batch, 6)
     total, localisation, missed, false, num_truth, num_estimated = table.unbind(-1)
     return Gospa(total, localisation, missed, false, num_truth.long(), num_estimated.long())
 
 
-def _one(x: np.ndarray, y: np.ndarray, cutoff: float, order: float) -> tuple[float, ...]:
-    distance = np.linalg.norm(x[:, None, :] - y[None, :, :], axis=-1)
-    cost = np.minimum(distance, cutoff) ** order
+def _one(x: Tensor, y: Tensor, cutoff: float, order: float, distance: Distance) -> tuple[float, ...]:
+    apart = distances(x, y, distance).numpy()
+    cost = np.minimum(apart, cutoff) ** order
     i, j = linear_sum_assignment(cost)
-    paired = distance[i, j] < cutoff
+    paired = apart[i, j] < cutoff
 
     localisation = float(cost[i, j][paired].sum())
     missed = (len(y) - paired.sum()) * cutoff**order / 2
@@ -94,12 +97,12 @@ def _one(x: np.ndarray, y: np.ndarray, cutoff: float, order: float) -> tuple[flo
     return total, localisation, missed, false, len(y), len(x)
 
 
-def _flat(values: Tensor, trailing: int) -> np.ndarray:
+def _flat(values: Tensor, trailing: int) -> Tensor:
     """Merge the batch dimensions into one; the product is written out because a set may be empty."""
-    array = values.detach().cpu().numpy()
-    array = array if array.dtype == bool else array.astype(np.float64)
-    split = array.ndim - trailing
-    return array.reshape(math.prod(array.shape[:split]), *array.shape[split:])
+    values = values.detach().cpu()
+    values = values if values.dtype == torch.bool else values.double()
+    split = values.ndim - trailing
+    return values.reshape(math.prod(values.shape[:split]), *values.shape[split:])
 
 
 def _check(

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linprog
 from scipy.sparse import csr_array, eye_array, hstack, kron, vstack
@@ -16,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from torchdt.core.errors import require
 from torchdt.filter.history import TrackHistory
+from torchdt.model.distance import EUCLIDEAN, Distance, distances
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -27,7 +29,7 @@ class TGospa(NamedTuple):
     The parts are sums of p-th powers over all steps: `total ** p = localisation + missed + false + switch`.
 
     Attributes:
-        total: the metric, in the unit of the coordinates.
+        total: the metric, in the unit of the distance.
         localisation: sum of `d ** p` over the assigned pairs nearer than the cutoff.
         missed: `c ** p / 2` per step and true object without estimate.
         false: `c ** p / 2` per step and estimate without true object.
@@ -49,10 +51,11 @@ def tgospa(
     cutoff: float,
     switch_cost: float,
     order: float = 1.0,
+    distance: Distance = EUCLIDEAN,
 ) -> TGospa:
     """Compare two sets of trajectories.
 
-    The linear programming metric of the paper (Sec. IV), with Euclidean distances: the minimum of
+    The linear programming metric of the paper (Sec. IV): the minimum of
 
         `sum_k sum_ij D_ij(k) w_ij(k) + gamma^p / 2 sum_k sum_ij |w_ij(k + 1) - w_ij(k)|`
 
@@ -61,9 +64,10 @@ def tgospa(
     Args:
         truth: `(K, L, d)` true positions, NaN where a trajectory is absent; holes are allowed.
         estimates: `(K, N, d)` estimated positions by label, NaN where absent.
-        cutoff: c > 0, in the unit of the coordinates.
+        cutoff: c > 0, in the unit of the distance.
         switch_cost: gamma >= 0, in the same unit.
         order: p >= 1.
+        distance: of an estimate and a true position.
 
     Raises:
         InputError: shapes that do not fit, or a parameter out of range.
@@ -77,8 +81,9 @@ def tgospa(
     # unless both are present and nearer than c. Pairs never worth anything need no assignment, which keeps
     # the program small however many tracks there are.
     both = x_here[:, :, None] & y_here[:, None, :]
-    distance = np.where(both, np.linalg.norm(x[:, :, None] - y[:, None], axis=-1), np.inf)
-    worth = 2 * unit - np.minimum(distance, cutoff) ** order
+    there, found = (torch.from_numpy(np.ascontiguousarray(points)) for points in (x, y))
+    apart = np.where(both, distances(there, found, distance).numpy(), np.inf)
+    worth = 2 * unit - np.minimum(apart, cutoff) ** order
     rows, columns = worth.any(0).nonzero()
 
     localisation = paired = switches = 0.0

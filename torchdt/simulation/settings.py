@@ -23,9 +23,11 @@ from torchdt.core.ranges import (
     StepIndex,
     Steps,
 )
+from torchdt.model.distance import Distance, Euclidean, GreatCircle
 from torchdt.model.region import Coordinate
 
 AMPLITUDES = ("gaussian", "constant_modulus")
+DISTANCES = ("euclidean", "great_circle")
 
 
 Magnitude = Annotated[float, Range("a number from 0 up", low=0, most=1e5)]
@@ -157,6 +159,7 @@ class CoordinateSettings:
     rate_low: float = -1.0
     rate_high: float = 1.0
     driving_variance: float = 1.0
+    period: float | None = None
 
     def __post_init__(self) -> None:
         Coordinate(**vars(self))  # which checks them
@@ -179,7 +182,11 @@ class ScenarioSettings(Checked):
         sources: by name; none is noise alone.
         population: draws the sources from the tracker's model; None for those of `sources`.
         mismatch: difference between the simulator's and the tracker's environment.
-        gospa_cutoff, gospa_order: c, in units of the coordinates, and p.
+        gospa_cutoff, gospa_order: c, in units of the distance, and p.
+        gospa_distance: `euclidean`, the shortest way round where a coordinate has a period; or
+            `great_circle`, degrees between directions given as azimuth, or azimuth and elevation, in degrees.
+        gospa_scale: what counts as one in each coordinate of the Euclidean distance, in its unit, so that
+            coordinates of different units can be compared; None is one unit of each.
     """
 
     KEY: ClassVar[str] = "scenario"
@@ -198,6 +205,8 @@ class ScenarioSettings(Checked):
     mismatch: MismatchSettings = field(default_factory=MismatchSettings)
     gospa_cutoff: Positive = 200.0
     gospa_order: Annotated[float, Range("a number from 1 up", low=1, most=100)] = 1.0
+    gospa_distance: Annotated[str, OneOf(DISTANCES)] = "euclidean"
+    gospa_scale: list[Positive] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -210,8 +219,34 @@ class ScenarioSettings(Checked):
         either = self.population is None or not self.sources
         require(either, "scenario.sources", sorted(self.sources), "none beside scenario.population")
         width, known = len(self.coordinates), sorted(self.paths)
+        self._check_distance(width)
         for name, path in self.paths.items():
             fits = all(len(position) == width for position in path.positions)
             require(fits, f"scenario.paths.{name}.positions", path.positions, f"{width} coordinates each")
         for name, source in self.sources.items():
             require(source.path in known, f"scenario.sources.{name}.path", source.path, f"one of {known}")
+
+    def _check_distance(self, width: int) -> None:
+        if self.gospa_scale is not None:
+            expected = f"{width} numbers, as the coordinates, or null"
+            require(len(self.gospa_scale) == width, "scenario.gospa_scale", self.gospa_scale, expected)
+        if self.gospa_distance == "great_circle":
+            units = [coordinate.unit for coordinate in self.coordinates]
+            expected = "euclidean, or coordinates azimuth, or azimuth and elevation, in deg"
+            found = f"great_circle of coordinates in {', '.join(units)}"
+            require(units in (["deg"], ["deg", "deg"]), "scenario.gospa_distance", found, expected)
+            expected = "null beside a great circle, which has degrees"
+            require(self.gospa_scale is None, "scenario.gospa_scale", self.gospa_scale, expected)
+
+    @property
+    def distance(self) -> Distance:
+        """How far apart two positions are, for all that compares estimates with the truth."""
+        if self.gospa_distance == "great_circle":
+            return GreatCircle()
+        scale = None if self.gospa_scale is None else tuple(self.gospa_scale)
+        return Euclidean(scale, tuple(coordinate.period for coordinate in self.coordinates))
+
+    @property
+    def distance_unit(self) -> str:
+        """Of the distance: that of the first coordinate, or none where each coordinate has its scale."""
+        return self.coordinates[0].unit if self.gospa_scale is None else ""

@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from torchdt.model.distance import distances
 from torchdt.simulation.settings import ScenarioSettings
 
 
@@ -14,7 +15,7 @@ def hidden_steps(scenario: ScenarioSettings, truth: Tensor, separation: float) -
     Args:
         scenario: whose sources `truth` holds, in their order.
         truth: `(K, L, d)` true positions, NaN while absent.
-        separation: Euclidean distance below which two sources hide each other, in the coordinates' unit.
+        separation: distance, that of the scenario, below which two sources hide each other.
 
     Returns:
         `(K,)` bool.
@@ -24,7 +25,6 @@ def hidden_steps(scenario: ScenarioSettings, truth: Tensor, separation: float) -
     for index, source in enumerate(scenario.sources.values()):
         for first, last in source.silences:
             silent[first : last + 1, index] = True
-    distance = torch.linalg.vector_norm(truth[:, :, None] - truth[:, None], dim=-1)
     # Distances to absent sources are NaN, which is not below anything; each pair is looked at once.
-    close = (distance < separation).triu(1)
+    close = (distances(truth, truth, scenario.distance) < separation).triu(1)
     return (present & silent).any(-1) | close.any(-1).any(-1)

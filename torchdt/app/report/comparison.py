@@ -95,7 +95,7 @@ def gospa_comparison_figure(
         scores: `(B, K)` by the tracker's name.
         hidden: `(K,)` bool, steps in which not every source can be seen, shaded.
         times: `(K,)` of the steps, s.
-        unit: of the coordinates.
+        unit: of the distance, empty for none.
     """
     figure = Figure(figsize=(7.2, 3.0), layout="constrained")
     panel = figure.subplots()

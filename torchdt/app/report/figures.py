@@ -93,7 +93,7 @@ def gospa_figure(gospa: Gospa, times: Tensor, unit: str = "m") -> Figure:
     Args:
         gospa: of one run, fields `(K,)`.
         times: `(K,)` seconds.
-        unit: of the coordinates.
+        unit: of the distance, empty for none.
     """
     figure = Figure(figsize=(7.2, 3.0), layout="constrained")
     panel = figure.subplots()
@@ -186,7 +186,7 @@ def to_array(values: Tensor) -> np.ndarray:
 def finish_gospa(panel: Axes, unit: str) -> None:
     """Label a panel of GOSPA over minutes, and put its legend beside it."""
     panel.set_xlabel("Time (min)")
-    panel.set_ylabel(f"GOSPA ({unit})")
+    panel.set_ylabel(f"GOSPA ({unit})" if unit else "GOSPA")
     panel.set_ylim(bottom=0)
     panel.margins(x=0)
     panel.grid(alpha=0.3)
