@@ -111,7 +111,7 @@ def test_evidence_of_a_sharp_likelihood(kind, height):
     streams = RandomStreams.from_seeds(range(20), (20,), F64)
     rounds, final = streams.normal(8, 200, 2), streams.normal(1000, 2)
     batched = type(prior)(*(t.expand(20, *t.shape) for t in prior))
-    mixture = adapt(log_likelihood, batched, rounds.movedim(1, 0))
+    mixture, _ = adapt(log_likelihood, batched, rounds.movedim(1, 0))
     points = mixture.sample(final)
     log_weight = log_likelihood(points) + batched.log_prob(points) - mixture.log_prob(points)
     estimate = (log_weight.logsumexp(-1) - math.log(1000) - exact).exp()
@@ -128,10 +128,10 @@ def test_a_batch_element_does_not_depend_on_the_others(dtype):
     peak = torch.tensor([[0.31, 12.0], [0.0, 0.0], [0.0, 0.0]], dtype=dtype)
     box_ = Box(*(t.to(dtype).expand(3, -1) for t in PRIORS["box"]))
     rounds = RandomStreams.from_seeds([1, 2, 3], (3,), dtype).normal(6, 128, 2).movedim(1, 0)
-    together = adapt(sharp_likelihood(width, peak, 0.0), box_, rounds)
+    together, _ = adapt(sharp_likelihood(width, peak, 0.0), box_, rounds)
     for b in range(3):
         one = slice(b, b + 1)
-        alone = adapt(
+        alone, _ = adapt(
             sharp_likelihood(width[one], peak[one], 0.0), Box(*(t[one] for t in box_)), rounds[:, one]
         )
         torch.testing.assert_close(together.fitted.mean[one], alone.fitted.mean)
@@ -139,7 +139,9 @@ def test_a_batch_element_does_not_depend_on_the_others(dtype):
 
 
 def test_zero_likelihood_everywhere_does_not_break_it():
-    mixture = adapt(lambda points: torch.full_like(points[..., 0], -1e30), PRIORS["box"], normal(1, 3, 50, 2))
+    mixture, _ = adapt(
+        lambda points: torch.full_like(points[..., 0], -1e30), PRIORS["box"], normal(1, 3, 50, 2)
+    )
     assert mixture.fitted.tril.isfinite().all()
 
 
@@ -150,7 +152,7 @@ def test_proposal_is_wider_than_its_target():
     prior = Box(torch.full((20, 2), -30.0, dtype=F64), torch.full((20, 2), 30.0, dtype=F64))
     streams = RandomStreams.from_seeds(range(20), (20,), F64)
     rounds, final = streams.normal(8, 200, 2), streams.normal(2000, 2)
-    mixture = adapt(lambda points: -0.5 * points.square().sum(-1), prior, rounds.movedim(1, 0))
+    mixture, _ = adapt(lambda points: -0.5 * points.square().sum(-1), prior, rounds.movedim(1, 0))
     points = mixture.sample(final)
     log_weight = prior.log_prob(points) - mixture.log_prob(points) - 0.5 * points.square().sum(-1)
     weight = log_weight.softmax(-1)

@@ -23,7 +23,7 @@ def predicted(bearings: list[float], deviation: float, log_odds: list[float], en
     objects = state.objects._replace(state=noise, log_odds=torch.tensor(log_odds, dtype=F64))
     draws = torch.zeros(len(bearings), 400, 1, dtype=F64)
     before = state._replace(objects=objects)
-    return predict(tracker.field, tracker.region, tracker.model, 1.0, before, draws, "score", enough)
+    return predict(tracker.field, tracker.region, tracker.model, 1.0, before, draws, "score", 4, enough)
 
 
 def test_objects_whose_predictions_overlap_may_change_places():
@@ -45,7 +45,9 @@ def test_prediction_keeps_weights_and_lowers_existence():
     assert isinstance(found.beliefs, Beliefs)
     expected = 0.95 * torch.sigmoid(torch.tensor([3.0, 2.0], dtype=F64))
     torch.testing.assert_close(found.objects.existence, expected)
-    mean, covariance = found.moments
+    mean, tril = found.density.mean[:, 0], found.density.tril[:, 0]
+    covariance = tril @ tril.mT
+    assert found.density.log_weight.shape == (2, 1), "of one mode each"
     torch.testing.assert_close(mean[:, 0], torch.tensor([0.0, 20.0], dtype=F64), atol=0.01, rtol=0)
     # Driving noise of variance 1e-3 over one second adds a quarter of that to the variance of the bearing.
     position, rate = (found.objects.state[..., i] for i in (0, 1))

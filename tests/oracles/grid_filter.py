@@ -33,7 +33,12 @@ class Grid(NamedTuple):
 
 
 def evidence(grid: Grid, start: Tensor, driving: float, survival: Tensor, ratio: Tensor) -> Tensor:
-    """Log evidence of every step over that of noise alone, `(K,)`; an object that leaves the region ends.
+    """Log evidence of every step over that of noise alone, `(K,)`, see `run`."""
+    return run(grid, start, driving, survival, ratio)[0]
+
+
+def run(grid: Grid, start: Tensor, driving: float, survival: Tensor, ratio: Tensor) -> tuple[Tensor, Tensor]:
+    """Filter a recording; an object that leaves the region ends.
 
     Args:
         grid: of bearings X and rates V.
@@ -41,10 +46,14 @@ def evidence(grid: Grid, start: Tensor, driving: float, survival: Tensor, ratio:
         driving: standard deviation of the driving noise; the time step is one.
         survival: p_s.
         ratio: `(K, X)` likelihood ratio of an object at each bearing.
+
+    Returns:
+        Log evidence of every step over that of noise alone, `(K,)`, and the density after it times existence,
+        `(K, X, V)`.
     """
     weight = torch.exp(-0.5 * (grid.steps * RATE_CELL / driving) ** 2)
     weight = weight / weight.sum()
-    exists, found = start, []
+    exists, found, densities = start, [], []
     for likelihood in ratio:
         moved = torch.zeros_like(exists)
         for q, share in zip(grid.steps.tolist(), weight, strict=True):
@@ -59,7 +68,8 @@ def evidence(grid: Grid, start: Tensor, driving: float, survival: Tensor, ratio:
         total = absent + exists.sum()
         found.append(total.log())
         exists = exists / total
-    return torch.stack(found)
+        densities.append(exists)
+    return torch.stack(found), torch.stack(densities)
 
 
 def _shift(values: Tensor, by: int) -> Tensor:

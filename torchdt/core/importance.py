@@ -112,7 +112,7 @@ def adapt(
     *,
     min_effective: float = 0.15,
     share: float = 0.1,
-) -> Mixture:
+) -> tuple[Mixture, Tensor]:
     """Fit a proposal for `prior * likelihood`.
 
     Rounds go on until no tempering is left; a batch element that got there keeps its proposal, so
@@ -124,17 +124,23 @@ def adapt(
         draws: `(rounds, *batch, S, d)` standard normal.
         min_effective: effective sample size to keep in each round, as a share of S.
         share: of the prior in every proposal.
+
+    Returns:
+        The proposal, and `log E[likelihood]` under the prior by the sample of the last round, `(*batch,)`.
     """
     with torch.no_grad():
         proposal: Mixture | None = None
-        done = torch.zeros(draws.shape[1:-2], dtype=torch.bool, device=draws.device)
+        log_evidence = torch.zeros_like(draws[0, ..., 0, 0])
+        done = torch.zeros_like(log_evidence, dtype=torch.bool)
         for draw in draws:
             current: Density = prior if proposal is None else proposal
             points = current.sample(draw)
             log_prior = prior.log_prob(points)
             log_ratio = log_prior - current.log_prob(points)
-            log_weight, temper = _temper(log_ratio, log_likelihood(points), min_effective * draw.shape[-2])
+            message = log_likelihood(points)
+            log_weight, temper = _temper(log_ratio, message, min_effective * draw.shape[-2])
             fitted = fit(points, log_weight)
+            log_evidence = torch.where(done, log_evidence, normalise(log_ratio + message)[1])
             if proposal is not None:
                 keep = done[..., None]
                 fitted = Gaussian(
@@ -146,7 +152,7 @@ def adapt(
             if bool(done.all()):
                 break
     assert proposal is not None
-    return proposal
+    return proposal, log_evidence - math.log(draws.shape[-2])
 
 
 def _temper(log_ratio: Tensor, log_likelihood: Tensor, min_effective: float) -> tuple[Tensor, Tensor]:

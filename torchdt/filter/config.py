@@ -57,6 +57,8 @@ class TrackerConfig(ObjectConfig):
         schedule: `sequential` (strongest first) or `flooding`.
         proposal: `adapted` to the likelihood, or `prior`: particles as predicted, new ones uniform in a cell.
             Adapted proposals draw new particles in every step and need neither resampling nor roughening.
+        mixture_components: Gaussians, at most, by which an adapted proposal predicts an object: one for each
+            cluster of its particles. 1: one of the mean and covariance of them all, an assumed density.
         rounds: rounds of fitting a proposal, at most.
         round_size: sample size of each round.
         mismatch_share: share of each tone's energy that responses do not cover, where the field knows how its
@@ -75,6 +77,7 @@ class TrackerConfig(ObjectConfig):
     sweeps: Passes = 2
     schedule: Annotated[str, OneOf(SCHEDULES)] = "sequential"
     proposal: Annotated[str, OneOf(PROPOSALS)] = "adapted"
+    mixture_components: Count = 4
     rounds: Passes = 6
     round_size: Count = 128
     mismatch_share: list[InnerProbability] | None = None

@@ -222,7 +222,7 @@ class DirectTracker(Tracker[TrackerState]):
         # Adapted proposals draw particles of their own: of the predicted ones they need only the moments.
         enough = ENOUGH if cfg.proposal == "adapted" and cfg.evidence == "sampled" else None
         where = self.field, self.region, self.model, self.step_s
-        return predict(*where, state, draws, cfg.gradient, enough)
+        return predict(*where, state, draws, cfg.gradient, cfg.mixture_components, enough)
 
     def evidence(
         self,

@@ -133,7 +133,7 @@ class Placer:
                 self.field,
                 self.region,
                 known,
-                predicted.moments,
+                predicted.density,
                 beliefs,
                 measurement,
                 draws,

@@ -4,7 +4,9 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torchdt.core.weights import mean_and_covariance, normalise
+from torchdt.core.mixture import GaussianMixture, cluster_moments
+from torchdt.core.resampling import scale_tril
+from torchdt.core.weights import normalise
 from torchdt.field.base import BaseField
 from torchdt.filter.bp.schedule import Beliefs, as_belief, initial_beliefs
 from torchdt.filter.proposal.moved import diffuse_part, respond
@@ -20,13 +22,13 @@ class Predicted(NamedTuple):
 
     Attributes:
         objects: with moved particles, batch `(*batch, N)`.
-        moments: mean `(*batch, N, D)` and covariance `(*batch, N, D, D)` of their states.
+        density: of their states, batch `(*batch, N)`: the clusters of the last step's particles, moved.
         response: `(*batch, N, I, P, M)` complex, or of fewer particles where these are enough.
         beliefs: before any message.
     """
 
     objects: Objects
-    moments: tuple[Tensor, Tensor]
+    density: GaussianMixture
     response: Tensor
     beliefs: Beliefs
 
@@ -39,6 +41,7 @@ def predict(
     state: TrackerState,
     draws: Tensor,
     gradient: str,
+    components: int = 1,
     enough: int | None = None,
 ) -> Predicted:
     """Move objects, powers and existence by one step; an object that leaves the region ends.
@@ -52,6 +55,7 @@ def predict(
             are left out of the result.
         draws: `(*batch, N, P, num_driving)` standard normal.
         gradient: how the particles depend on the numbers of the motion, see `drive`.
+        components: of the density of an object, at most; one has the mean and covariance of its particles.
         enough: number of particles whose responses suffice, for their moments; None takes all.
     """
     dim = state.objects.log_odds.ndim - 1
@@ -62,7 +66,10 @@ def predict(
     log_weight, log_inside = condition_inside(moved, old.log_weight + log_ratio, region)
     log_odds = predict_log_odds(old.log_odds, widen(model.survival, 1) * log_inside.exp())
     objects = Objects(moved, log_weight, *power, log_odds, old.label)
-    moments = model.motion.moments(*mean_and_covariance(old.state, old.log_weight), step_s)
+    log_share, mean, covariance = cluster_moments(old.state, old.log_weight, components)
+    size = mean.shape[-3:-1]
+    mean, covariance = model.motion.moments(mean.flatten(-3, -2), covariance.flatten(-4, -3), step_s)
+    density = GaussianMixture(log_share, mean.unflatten(-2, size), scale_tril(covariance).unflatten(-3, size))
     every = 1 if enough is None else max(1, objects.state.shape[-2] // enough)
     heard = objects
     if every > 1:
@@ -72,7 +79,7 @@ def predict(
     response = respond(field, heard.state)
     diffuse = diffuse_part(field, objects.state, objects.log_weight)
     beliefs = initial_beliefs(heard, response, state.noise, diffuse)._replace(objects=as_belief(objects))
-    return Predicted(objects, moments, response, beliefs)
+    return Predicted(objects, density, response, beliefs)
 
 
 def exchangeable(predicted: Predicted, region: Region, within: float = 3.0) -> Tensor:
@@ -81,12 +88,12 @@ def exchangeable(predicted: Predicted, region: Region, within: float = 3.0) -> T
     Args:
         predicted: objects before the data.
         region: of interest; only positions count.
-        within: distance of the means in standard deviations of their difference.
+        within: distance of the means of two of their components in standard deviations of their difference.
     """
-    mean, covariance = (t.detach()[..., : region.num_coordinates] for t in predicted.moments)
-    variance = covariance.diagonal(dim1=-2, dim2=-1)
-    distance = region.difference(mean.unsqueeze(-2), mean.unsqueeze(-3)).square()
-    spread = variance.unsqueeze(-2) + variance.unsqueeze(-3)
-    there = predicted.objects.log_odds.isfinite()
-    both = there.unsqueeze(-1) & there.unsqueeze(-2)
-    return both & ((distance / spread).sum(-1) < within**2)
+    log_share, mean, tril = (t.detach() for t in predicted.density.marginal(region.num_coordinates))
+    variance = tril.square().sum(-1)
+    distance = region.difference(mean[..., :, None, :, None, :], mean[..., None, :, None, :, :]).square()
+    spread = variance[..., :, None, :, None, :] + variance[..., None, :, None, :, :]
+    there = log_share.isfinite() & predicted.objects.log_odds.isfinite()[..., None]
+    both = there[..., :, None, :, None] & there[..., None, :, None, :]
+    return (both & ((distance / spread).sum(-1) < within**2)).any(-1).any(-1)

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.distributions import Normal
 from torch.nn.functional import logsigmoid
 
+from torchdt.core.mixture import GaussianMixture
 from torchdt.core.random import RandomStreams
 from torchdt.filter.bp.configurations import UniformDraws, draw_configurations
 from torchdt.filter.bp.evidence import sampled_evidence
@@ -37,9 +38,11 @@ def measure(bearing: float, power_db: float) -> Measurement:
 def sample(measurement: Measurement, mean: float, deviation: float, log_odds: float) -> Tensor:
     """Independent sampled evidences `(RUNS,)` on particles of an adapted proposal."""
     covariance = torch.tensor([[deviation**2, 0.06 * deviation], [0.06 * deviation, 0.01]], dtype=F64)
-    moments = torch.tensor([[mean, 0.2]], dtype=F64).expand(RUNS, -1, -1), covariance.expand(RUNS, 1, -1, -1)
-    predicted = Objects(  # the proposal reads their moments, not these particles
-        moments[0].unsqueeze(-2).expand(-1, -1, PARTICLES, -1),
+    centre, one = torch.tensor([mean, 0.2], dtype=F64), (RUNS, 1, 1)
+    tril = torch.linalg.cholesky(covariance).expand(*one, -1, -1)
+    density = GaussianMixture(torch.zeros(one, dtype=F64), centre.expand(*one, -1), tril)
+    predicted = Objects(  # the proposal reads the density, not these particles
+        centre.expand(RUNS, 1, PARTICLES, -1),
         torch.full((RUNS, 1, PARTICLES), -math.log(PARTICLES), dtype=F64),
         POWER.expand(RUNS, 1, 2, -1),
         LOG_POWER.expand(RUNS, 1, 2, -1),
@@ -50,7 +53,7 @@ def sample(measurement: Measurement, mean: float, deviation: float, log_odds: fl
     measurement, streams = repeat(measurement, RUNS), RandomStreams.from_seeds(range(RUNS), (RUNS,), F64)
     initial = initial_beliefs(predicted, respond(FIELD, predicted.state), noise)
     draws = Draws(streams.normal(1, 4, 128, 1), streams.normal(1, PARTICLES, 2))
-    prior, response, first = propose_adapted(FIELD, REGION, predicted, moments, initial, measurement, draws)
+    prior, response, first = propose_adapted(FIELD, REGION, predicted, density, initial, measurement, draws)
     beliefs = update(prior, response, noise, measurement, sweeps=2, initial=first)
     uniform = UniformDraws.draw(streams, 1, 2, SAMPLES)
     drawn = draw_configurations(

@@ -7,7 +7,9 @@ import torch
 from oracles.arrays import complex_normal
 from oracles.line_array import make_field, make_region
 
+from torchdt.core.mixture import GaussianMixture, cluster_moments
 from torchdt.core.random import RandomStreams
+from torchdt.core.resampling import scale_tril
 from torchdt.core.weights import mean_and_covariance
 from torchdt.filter.bp.messages import state_message
 from torchdt.filter.bp.rank_one import whiten
@@ -55,8 +57,9 @@ def propose(objects: Objects, noise: Noise, measurement: Measurement):
     beliefs = initial_beliefs(objects, respond(FIELD, objects.state), noise)
     streams = RandomStreams.from_seeds(range(runs), (runs,), F64)
     draws = Draws(streams.normal(1, 4, 128, 1), streams.normal(1, PARTICLES, 2))
-    moments = mean_and_covariance(objects.state, objects.log_weight)
-    return propose_adapted(FIELD, REGION, objects, moments, beliefs, batched, draws)
+    share, mean, covariance = cluster_moments(objects.state, objects.log_weight, 4)
+    density = GaussianMixture(share, mean, scale_tril(covariance))
+    return propose_adapted(FIELD, REGION, objects, density, beliefs, batched, draws)
 
 
 def quadrature(measurement: Measurement, mean: float, deviation: float):

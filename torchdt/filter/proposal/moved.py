@@ -7,10 +7,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdt.core.importance import Gaussian, adapt
-from torchdt.core.resampling import scale_tril
+from torchdt.core.importance import adapt
+from torchdt.core.mixture import GaussianMixture, deal, of_component
 from torchdt.core.trees import take
-from torchdt.core.weights import weighted_mean
+from torchdt.core.weights import normalise, weighted_mean
 from torchdt.field.base import BaseField, Field
 from torchdt.filter.bp.messages import ObjectBelief, object_belief, state_message
 from torchdt.filter.bp.moments import response_moment
@@ -41,12 +41,15 @@ class Adapted(NamedTuple):
 
     Attributes:
         state: `(*batch, P, D)`.
-        white: `(*batch, P, D)` the standard normal draws that the prediction maps to them.
-        log_prior: `(*batch, P)` log-density of the prediction there.
-        log_proposal: `(*batch, P)` log-density they were drawn with.
+        component: `(*batch, P)` int64, of the prediction, that each belongs to.
+        white: `(*batch, P, D)` the standard normal draws that its component maps to each.
+        log_prior: `(*batch, P)` log-density of its component, weight included, there.
+        log_proposal: `(*batch, P)` log of the density of particles of its component, which they add up to
+            their number.
     """
 
     state: Tensor
+    component: Tensor
     white: Tensor
     log_prior: Tensor
     log_proposal: Tensor
@@ -66,7 +69,7 @@ def propose_adapted(
     field: Field,
     region: Region,
     predicted: Objects,
-    moments: tuple[Tensor, Tensor],
+    density: GaussianMixture,
     beliefs: Beliefs,
     measurement: Measurement,
     draws: Draws,
@@ -77,14 +80,14 @@ def propose_adapted(
 ) -> tuple[Objects, Tensor, Beliefs]:
     """Redraw the particles of every object where prediction and likelihood meet.
 
-    The prediction of an object enters through its mean and covariance. Positions come from a proposal fitted
-    to `N(position) * likelihood`, all else from the predicted Gaussian given the position, and the weight is
-    `N(position) / proposal(position)`, N cut off at the edge of the region: the likelihood is not part of it.
-    Objects are visited in slot order, each against the newest beliefs of the others.
+    The prediction of an object is a mixture of Gaussians `w_k N_k`. For each of them positions come from a
+    proposal fitted to `N_k(position) * likelihood`, all else from N_k given the position, and the weight is
+    `w_k N_k(position) / (n_k proposal_k(position))`, N_k cut off at the edge of the region: the likelihood is
+    not part of it. Objects are visited in slot order, each against the newest beliefs of the others.
 
     Args:
         predicted: objects, batch `(*batch, N)`, strongest first.
-        moments: mean `(*batch, N, D)` and covariance `(*batch, N, D, D)` of their predicted states.
+        density: of their predicted states, batch `(*batch, N)`.
         beliefs: predicted beliefs of the same objects.
         measurement: statistics of the step.
         draws: random numbers.
@@ -97,8 +100,7 @@ def propose_adapted(
         The objects with new particles; their responses `(*batch, N, I, P, M)`; beliefs after this first
         sequential sweep.
     """
-    mean, covariance = moments
-    log_inside = _log_inside(region, mean, covariance, draws.rounds, gradient)
+    log_inside = _log_inside(region, density, draws.rounds, gradient)
     states, log_weights, responses = [], [], []
     num_objects = predicted.log_odds.shape[-1]
     for slot in range(num_objects):
@@ -110,13 +112,15 @@ def propose_adapted(
         def log_likelihood(state: Tensor) -> Tensor:
             return state_message(whitener, respond(field, state), power, slot_prior.log_power_weight)  # noqa: B023
 
-        prediction = Gaussian(take(mean, index), scale_tril(take(covariance, index)))
+        prediction = GaussianMixture(*(take(t, index) for t in density))
         drawn = draw_adapted(log_likelihood, prediction, take(draws.rounds, index), take(draws.final, index))
         if gradient == "reparameterised":
-            state, log_prior = prediction.sample(drawn.white), drawn.log_prior
+            state = prediction.sample(drawn.white, drawn.component)
+            log_share = prediction.log_share(drawn.component)
+            log_prior = drawn.log_prior + log_share - log_share.detach()
         else:
-            state, log_prior = drawn.state, prediction.log_prob(drawn.state)
-        log_weight = log_prior - drawn.log_proposal - math.log(state.shape[-2])
+            state, log_prior = drawn.state, prediction.log_prob(drawn.state, drawn.component)
+        log_weight = log_prior - drawn.log_proposal
         # Given that the object is still in the region; that it left is in the predicted existence.
         log_weight = drop_outside(state, log_weight, region) - take(log_inside, index)[..., None]
         response = respond(field, state)
@@ -132,17 +136,17 @@ def propose_adapted(
     return objects, torch.stack(responses, batch_dims), beliefs
 
 
-def _log_inside(region: Region, mean: Tensor, covariance: Tensor, rounds: Tensor, gradient: str) -> Tensor:
-    """Log of the share of Gaussian predictions that lies in the region, `(*batch, N)`, by sampling them.
+def _log_inside(region: Region, density: GaussianMixture, rounds: Tensor, gradient: str) -> Tensor:
+    """Log of the share of predictions that lies in the region, `(*batch, N)`, by sampling their components.
 
     Zero where all samples are inside. For `score` its gradient is that of the density at fixed samples; for
     `reparameterised`, where what crosses the edge of the region has no gradient, it has none either.
     """
-    d = region.num_coordinates
-    predicted = Gaussian(mean[..., :d], scale_tril(covariance[..., :d, :d]))
-    rounds = rounds[..., : mean.shape[-2], :, :, :]
-    position = predicted.sample(rounds.flatten(-3, -2)).detach()
-    inside = region.contains(position)
+    predicted = density.marginal(region.num_coordinates).components
+    rounds = rounds[..., : density.mean.shape[-3], :, :, :]
+    position = predicted.sample(rounds.flatten(-3, -2).unsqueeze(-3)).detach()
+    # The region may differ from sequence to sequence, not from component to component.
+    inside = region.contains(position.flatten(-3, -2)).unflatten(-1, position.shape[-3:-1])
     log_density = predicted.log_prob(position)
     log_ratio = log_density - log_density.detach()
     if gradient == "reparameterised":
@@ -150,14 +154,15 @@ def _log_inside(region: Region, mean: Tensor, covariance: Tensor, rounds: Tensor
     num = position.shape[-2]
     # As if one sample more were inside where none is.
     total = torch.where(inside, log_ratio, -torch.inf).exp().sum(-1).clamp_min(1.0)
-    return torch.where(inside.all(-1), 0.0, total.log() - math.log(num))
+    log_inside = (density.log_weight + total.log() - math.log(num)).logsumexp(-1)
+    return torch.where(inside.all((-2, -1)), 0.0, log_inside)
 
 
 @torch.no_grad()
 def draw_adapted(
-    log_likelihood: Callable[[Tensor], Tensor], predicted: Gaussian, rounds: Tensor, final: Tensor
+    log_likelihood: Callable[[Tensor], Tensor], predicted: GaussianMixture, rounds: Tensor, final: Tensor
 ) -> Adapted:
-    """Particles where a predicted Gaussian and a likelihood meet.
+    """Particles where a predicted mixture and a likelihood meet.
 
     Args:
         log_likelihood: maps states `(*batch, S, D)` to `(*batch, S)`.
@@ -165,21 +170,49 @@ def draw_adapted(
         rounds: `(*batch, rounds, S, d)` standard normal draws.
         final: `(*batch, P, D)` standard normal draws.
     """
-    d = rounds.shape[-1]
-    prior = Gaussian(predicted.mean[..., :d], predicted.tril[..., :d, :d])
+    d, (number, entries), components = rounds.shape[-1], final.shape[-2:], predicted.log_weight.shape[-1]
+    prior = predicted.marginal(d).components
 
     # With L = [[A, 0], [B, C]] the rates given the position are N(m_v + B A^-1 (p - m_p), C C^T).
     def with_rates(position: Tensor, white_rate: Tensor) -> tuple[Tensor, Tensor]:
         white = torch.cat([prior.whiten(position), white_rate], -1)
-        return torch.cat([position, predicted.sample(white)[..., d:]], -1), white
+        return torch.cat([position, predicted.components.sample(white)[..., d:]], -1), white
 
     def at_mean_rates(position: Tensor) -> Tensor:
-        middle = position.new_zeros(*position.shape[:-1], final.shape[-1] - d)
-        return log_likelihood(with_rates(position, middle)[0])
+        middle = position.new_zeros(*position.shape[:-1], entries - d)
+        state, _ = with_rates(position, middle)
+        return log_likelihood(state.flatten(-3, -2)).unflatten(-1, state.shape[-3:-1])
 
-    mixture = adapt(at_mean_rates, prior, rounds.movedim(-3, 0))
-    position = mixture.sample(final[..., :d])
+    each = (*rounds.shape[:-3], components)
+    draws = rounds.movedim(-3, 0).unsqueeze(-3)
+    proposal, log_evidence = adapt(at_mean_rates, prior, draws.expand(-1, *each, -1, -1))
+    strata = deal(_shares(predicted.log_weight, log_evidence, proposal.share), number)
+    # All components draw every particle, and it is that of its own.
+    final = final.unsqueeze(-3).expand(*each, -1, -1)
+    num_prior = (proposal.share * strata.size).round().clamp_min(1)
+    as_prior = strata.rank.unsqueeze(-2) < num_prior[..., None]
+    position = torch.where(
+        as_prior[..., None], prior.sample(final[..., :d]), proposal.fitted.sample(final[..., :d])
+    )
     state, white = with_rates(position, final[..., d:])
-    log_prior = predicted.log_prob(state)
-    log_rate = log_prior - prior.log_prob(position)
-    return Adapted(state, white, log_prior, mixture.log_prob(position) + log_rate)
+    log_position, log_fitted = prior.log_prob(position), proposal.fitted.log_prob(position)
+    log_state = predicted.components.log_prob(state)
+    num_fitted = strata.size - num_prior
+    log_drawn = torch.logaddexp(
+        log_position + num_prior.log()[..., None], log_fitted + num_fitted.log()[..., None]
+    )
+    log_proposal = log_drawn + log_state - log_position
+    log_prior = predicted.log_weight[..., None] + log_state
+    parts = (state, white, log_prior, log_proposal)
+    state, white, log_prior, log_proposal = (of_component(t, strata.component) for t in parts)
+    return Adapted(state, strata.component, white, log_prior, log_proposal)
+
+
+def _shares(log_weight: Tensor, log_evidence: Tensor, share: float) -> Tensor:
+    """Share of the particles of each component: its posterior weight, with an even defensive share."""
+    present = log_weight.isfinite()
+    posterior = (1 - share) * normalise(log_weight + log_evidence)[0].exp() + share / present.sum(
+        -1, keepdim=True
+    )
+    shares = torch.where(present, posterior, 0.0)
+    return shares / shares.sum(-1, keepdim=True)

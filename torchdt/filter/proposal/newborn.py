@@ -157,7 +157,7 @@ def _refine(field: Field, region: Region, whitener: Whitener, centre: Tensor, ro
 
     low, high = torch.maximum(centre - region.cell, region.lower_end), centre + region.cell
     around = Box(low, torch.minimum(high, region.upper_end))
-    return adapt(peak, around, rounds.movedim(-3, 0)).fitted.mean
+    return adapt(peak, around, rounds.movedim(-3, 0))[0].fitted.mean
 
 
 def propose_newborn(
@@ -214,7 +214,7 @@ def propose_newborn(
     proposal: Density = prior
     places = prior
     if adapted:
-        proposal = mixture = adapt(log_likelihood, prior, draws_of_rounds)
+        proposal = mixture = adapt(log_likelihood, prior, draws_of_rounds)[0]
         places = place_of(mixture.fitted, prior)
     d = region.num_coordinates
     position = proposal.sample(final[..., :d])
