@@ -8,7 +8,7 @@ import pytest
 import torch
 from oracles.arrays import complex_normal
 from oracles.devices import NamedDevices, assert_kind, default_dtype, foreign_defaults
-from oracles.line_array import FREQS, POSITIONS, SMALL, make_region, simulate
+from oracles.line_array import FREQS, POSITIONS, SMALL, SMALL_PAPER, make_region, simulate
 from oracles.waveguide import make_field as make_waveguide
 from oracles.waveguide import make_region as make_water
 from torch import Tensor
@@ -24,6 +24,8 @@ from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.history import TrackHistory
 from torchdt.filter.likelihood import log_likelihood
+from torchdt.filter.paper.config import PaperConfig
+from torchdt.filter.paper.tracker import PaperTracker
 from torchdt.filter.tracker import Tracker
 from torchdt.metrics import gospa
 from torchdt.metrics.delays import track_delays
@@ -47,7 +49,7 @@ DETECTORS = {
     "matching pursuit": PursuitConfig(points=4, threshold=8.0),
     "sparse Bayesian learning": SblConfig(points=4, threshold=8.0, max_iterations=15),
 }
-TRACKERS = [*DIRECT, "diffuse", *DETECTORS]
+TRACKERS = [*DIRECT, "diffuse", "paper", *DETECTORS]
 
 
 def make_tracker(kind: str, dtype: torch.dtype) -> Tracker[Any]:
@@ -58,6 +60,8 @@ def make_tracker(kind: str, dtype: torch.dtype) -> Tracker[Any]:
     field = LineArrayField(FREQS, POSITIONS, device="cpu", dtype=dtype)
     if kind in DIRECT:
         return DirectTracker(field, make_region(dtype), 1.0, TrackerConfig(**SMALL | DIRECT[kind]))
+    if kind == "paper":
+        return PaperTracker(field, make_region(dtype), 1.0, PaperConfig(**SMALL_PAPER))
     config = TwoStepConfig(
         slots=4, particles=200, birth_mean=0.1, clutter_mean=0.1, detector=DETECTORS[kind], survival=0.95
     )

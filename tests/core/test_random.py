@@ -4,15 +4,16 @@ import torch
 from torchdt.core.random import RandomStreams
 
 
-@pytest.mark.parametrize("draw", ["normal", "uniform"])
+@pytest.mark.parametrize("draw", ["normal", "uniform", "gamma"])
 def test_a_stream_alone_equals_the_stream_in_a_batch(draw):
     seeds = [3, 1, 4, 1, 5, 9]
     batch = RandomStreams.from_seeds(seeds, (2, 3), torch.float32)
-    together = [getattr(batch, draw)(4, 5), getattr(batch, draw)(2)]
+    first = (torch.tensor(0.7),) if draw == "gamma" else ()
+    together = [getattr(batch, draw)(*first, 4, 5), getattr(batch, draw)(*first, 2)]
     for n, seed in enumerate(seeds):
         alone = RandomStreams.from_seeds([seed], (), torch.float32)
         for drawn in together:
-            one = getattr(alone, draw)(*drawn.shape[2:])
+            one = getattr(alone, draw)(*first, *drawn.shape[2:])
             assert torch.equal(one, drawn[n // 3, n % 3])
     assert together[0].shape == (2, 3, 4, 5)
     assert torch.equal(together[0][0, 1], together[0][1, 0])  # both of seed 1
@@ -25,6 +26,7 @@ def test_moments():
     for draws, mean, variance, fourth in (
         (streams.normal(number), 0.0, 1.0, 3.0),
         (streams.uniform(number), 0.5, 1 / 12, 1 / 80),
+        (streams.gamma(torch.tensor(100.0), number), 100.0, 100.0, 3 * 100.0**2 + 6 * 100.0),
     ):
         assert abs(draws.mean().item() - mean) < 5.2 * (variance / number) ** 0.5
         assert abs(draws.var().item() - variance) < 5.2 * ((fourth - variance**2) / number) ** 0.5

@@ -5,24 +5,28 @@ from collections.abc import Iterator
 
 import pytest
 import torch
-from oracles.line_array import make_field, make_region, make_tracker, simulate
+from oracles.line_array import SMALL_PAPER, make_field, make_region, make_tracker, simulate
 from torch import Tensor
 
 from torchdt.baselines.detect.config import PursuitConfig
 from torchdt.baselines.two_step import TwoStepConfig, TwoStepTracker
 from torchdt.core.random import RandomStreams
+from torchdt.filter.paper.config import PaperConfig
+from torchdt.filter.paper.tracker import PaperTracker
 from torchdt.filter.tracker import Tracker
 from torchdt.model.measurement import Measurement, from_snapshots
 from torchdt.model.prior import Priors, data_priors
 
 TWO = (((0.0, -40.0), (20.0, -25.0)), ((0.0, 30.0), (20.0, 20.0)))
-KINDS = ("direct", "two_step")
-both = pytest.mark.parametrize("kind", KINDS)
+KINDS = ("direct", "paper", "two_step")
+each = pytest.mark.parametrize("kind", KINDS)
 
 
 def build(kind: str) -> Tracker:
     if kind == "direct":
         return make_tracker()
+    if kind == "paper":
+        return PaperTracker(make_field(), make_region(), 1.0, PaperConfig(**SMALL_PAPER))
     config = TwoStepConfig(slots=4, particles=200, detector=PursuitConfig(points=4))
     return TwoStepTracker(make_field(), make_region(), 1.0, config)
 
@@ -36,7 +40,7 @@ def measurement() -> Measurement:
     return from_snapshots(torch.stack([simulate(seed, *TWO)[0] for seed in range(2)]))
 
 
-@both
+@each
 def test_a_stream_gives_the_steps_of_a_run(kind, measurement):
     tracker, priors = build(kind), data_priors(measurement)
     history = tracker.run(measurement, priors, streams())
@@ -46,7 +50,7 @@ def test_a_stream_gives_the_steps_of_a_run(kind, measurement):
         torch.testing.assert_close(torch.stack(parts, 1), expected, rtol=0, atol=0, equal_nan=True)
 
 
-@both
+@each
 def test_a_stream_waits_for_the_data(kind, measurement):
     """The estimates of a step are there before the next step is asked for."""
     asked = []
@@ -64,7 +68,7 @@ def test_a_stream_waits_for_the_data(kind, measurement):
     assert next(stream, None) is None
 
 
-@both
+@each
 @torch.inference_mode()
 def test_a_stream_keeps_nothing(kind, measurement):
     """As many tensors are alive after 50 steps as after five."""
@@ -78,7 +82,7 @@ def test_a_stream_keeps_nothing(kind, measurement):
     assert alive[0] == alive[1]
 
 
-@both
+@each
 def test_a_run_reports_every_step(kind, measurement):
     reported = []
     history = build(kind).run(

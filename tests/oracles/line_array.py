@@ -31,6 +31,13 @@ SMALL = {
     "rounds": 4,
     "round_size": 64,
 }
+SMALL_PAPER = {
+    "slots": 4,
+    "particles": 200,
+    "power_particles": 20,
+    "noise_particles": 100,
+    "births": 3,
+}
 
 
 def make_field(dtype: torch.dtype = torch.float64) -> LineArrayField:

@@ -5,7 +5,7 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 
 import pytest
 import torch
-from oracles.line_array import BEARING, make_field, make_tracker, simulate
+from oracles.line_array import BEARING, SMALL_PAPER, make_field, make_region, make_tracker, simulate
 
 from torchdt.baselines.detect.config import PursuitConfig
 from torchdt.baselines.two_step import TwoStepConfig, TwoStepTracker
@@ -15,6 +15,8 @@ from torchdt.core.random import RandomStreams
 from torchdt.data.recording import Recording, validate
 from torchdt.field.stacked import StackedField
 from torchdt.filter.direct import DirectTracker
+from torchdt.filter.paper.config import PaperConfig
+from torchdt.filter.paper.tracker import PaperTracker
 from torchdt.model.region import Coordinate, Region
 from torchdt.run.chunks import bytes_per_sequence, plan, run_chunks
 
@@ -82,6 +84,16 @@ def test_data_and_estimates_are_counted():
     # Three copies of 2 tones, 3 snapshots, 8 sensors.
     assert extra == 4 * (2 * step + 3 * 2 * 3 * 8 * 16)
     assert bytes_per_sequence(tracker, recording(6)) == bytes_per_sequence(tracker, recording(2))
+
+
+def test_the_graph_of_the_paper_has_responses_for_every_factor():
+    def size(**config) -> int:
+        tracker = PaperTracker(make_field(), make_region(), 1.0, PaperConfig(**(SMALL_PAPER | config)))
+        return bytes_per_sequence(tracker, recording())
+
+    # 2 tones, 3 snapshots; 7 objects: three complex responses of 8 sensors; of one, its likelihood.
+    assert size(particles=300) - size() == 100 * 3 * 2 * 3 * (7 * 16 + 20) * 8
+    assert size(power_particles=21) - size() == 200 * 3 * 2 * 3 * 8
 
 
 def test_a_detector_works_on_a_dictionary():

@@ -26,6 +26,8 @@ from torchdt.data.recording import Recording, validate
 from torchdt.field.base import BaseField
 from torchdt.field.build import EnvironmentDraw
 from torchdt.filter.direct import DirectTracker
+from torchdt.filter.paper.config import PaperConfig
+from torchdt.filter.paper.tracker import PaperTracker
 from torchdt.filter.tracker import Tracker
 from torchdt.model.region import Coordinate, Region
 from torchdt.run.track import generator
@@ -186,6 +188,8 @@ def build_tracker(
     region, model = build_region(settings, settings.torch_dtype), settings.statistical_model
     if isinstance(settings.tracker, TwoStepConfig):
         return TwoStepTracker(field, region, recording.step_s, settings.tracker, model.motion)
+    if isinstance(settings.tracker, PaperConfig):
+        return PaperTracker(field, region, recording.step_s, settings.tracker, model)
     config, expected = settings.direct, "null, or calibration=none: that estimates the share"
     share = config.mismatch_share
     require(share is None or not settings.calibration.enabled, "tracker.mismatch_share", share, expected)

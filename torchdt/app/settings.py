@@ -17,6 +17,7 @@ from torchdt.calibration.environment import CalibrationConfig
 from torchdt.core.errors import InputError, require
 from torchdt.core.ranges import Checked, Count, OneOf, Positive, Seed, StepIndex, Steps, Threads
 from torchdt.filter.config import ObjectConfig, TrackerConfig
+from torchdt.filter.paper.config import PaperConfig
 from torchdt.model.model import Model
 from torchdt.run.variants import variant_models
 from torchdt.simulation.settings import ScenarioSettings
@@ -163,5 +164,6 @@ _store = ConfigStore.instance()
 _store.store(name="track_schema", node=TrackSettings)
 _store.store(name="signal_schema", node=SignalSettings)
 _store.store(name="direct_schema", node=TrackerConfig)
+_store.store(name="direct_paper_schema", node=PaperConfig)
 _store.store(name="mp_bp_schema", node=TwoStepConfig(detector=PursuitConfig()))
 _store.store(name="sbl_bp_schema", node=TwoStepConfig(detector=SblConfig()))

@@ -67,6 +67,20 @@ class RandomStreams:
         """Uniform draws on [0, 1), `(*batch, *shape)`."""
         return self._draw(torch.rand, shape)
 
+    def gamma(self, concentration: Tensor, *shape: int) -> Tensor:
+        """Gamma draws of unit scale, `(*batch, *shape)`.
+
+        Args:
+            concentration: the shape parameter, `()` or `(*batch,)`.
+            shape: of the draws of each sequence.
+        """
+        each = concentration.to(self.dtype).expand(self.batch_shape).reshape(-1)
+        draws = [
+            torch._standard_gamma(c.to(g.device).expand(shape), generator=g)  # as torch.distributions does
+            for c, g in zip(each, self.generators, strict=True)
+        ]
+        return torch.stack(draws).reshape(*self.batch_shape, *shape)
+
     def _draw(self, draw: Callable[..., Tensor], shape: Sequence[int]) -> Tensor:
         draws = [draw(shape, generator=g, dtype=self.dtype, device=g.device) for g in self.generators]
         return torch.stack(draws).reshape(*self.batch_shape, *shape)

@@ -11,6 +11,7 @@ from torchdt.filter.config import ObjectConfig, TrackerConfig
 from torchdt.filter.history import TrackHistory
 from torchdt.filter.slots import fit_slots
 from torchdt.filter.state import Objects, TrackerState
+from torchdt.model.noise.base import Noise
 from torchdt.model.region import Region
 
 
@@ -43,10 +44,36 @@ def conclude(
         Posterior objects of batch `(*batch, N)`, strongest first; the next free label; the estimates.
     """
     objects = prior._replace(
-        state=region.gather(prior.state, beliefs.objects.log_weight),
         log_weight=beliefs.objects.log_weight,
         log_power_weight=beliefs.objects.log_power_weight,
-        log_odds=prune(beliefs.objects.log_odds, config),
+        log_odds=beliefs.objects.log_odds,
+    )
+    return report(objects, beliefs.noise, old, log_evidence, region, config)
+
+
+def report(
+    objects: Objects,
+    noise: Noise,
+    old: TrackerState,
+    log_evidence: Tensor,
+    region: Region,
+    config: ObjectConfig,
+) -> tuple[Objects, Tensor, TrackHistory]:
+    """Drop improbable objects, name those declared for the first time, and say what is known of each.
+
+    Args:
+        objects: after the step, batch `(*batch, N')`.
+        noise: after the step.
+        old: state before the step, of N slots.
+        log_evidence: `(*batch,)`.
+        region: of interest.
+        config: thresholds.
+
+    Returns:
+        As `conclude`.
+    """
+    objects = objects._replace(
+        state=region.gather(objects.state, objects.log_weight), log_odds=prune(objects.log_odds, config)
     )
     objects = fit_slots(objects, old.objects)
     declared, label, next_label = declare(objects.log_odds, objects.label, old.next_label, config)
@@ -57,7 +84,7 @@ def conclude(
         state=region.wrap(weighted_mean(objects.state.mT, objects.log_weight[..., None, :])),
         state_std=standard_deviation(objects.state, objects.log_weight),
         power=objects.mean_power,
-        noise=beliefs.noise.mean,
+        noise=noise.mean,
         effective_sample_size=effective_sample_size(objects.log_weight),
         failed=torch.zeros_like(log_evidence, dtype=torch.bool),
         log_evidence=log_evidence,

@@ -44,7 +44,7 @@ class TrackerState(NamedTuple):
 
     Attributes:
         objects: beliefs after the last step.
-        noise: belief predicted for the next step.
+        noise: predicted for the next step by `DirectTracker`, as after the last one by `PaperTracker`.
         next_label: `(*batch,)` int64, next free label.
     """
 

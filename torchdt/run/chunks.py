@@ -13,6 +13,7 @@ from torchdt.core.errors import require
 from torchdt.core.linalg import NumericalError
 from torchdt.data.recording import Recording
 from torchdt.filter.config import TrackerConfig
+from torchdt.filter.paper.config import PaperConfig
 from torchdt.filter.tracker import Tracker
 
 Result = TypeVar("Result")
@@ -31,6 +32,9 @@ def bytes_per_sequence(tracker: Tracker[Any], recording: Recording) -> int:
 
     - direct tracking: for each object (slots and births alike, as if all were taken) the responses of its
       particles, `P I M` complex, `COPIES` times, and the likelihood over its powers, `P I G`;
+    - the paper's graph: for each object the responses of its particles once for every snapshot (or sensor,
+      where these are fewer) and tone, `P M` complex, `COPIES` times, and for one object its likelihood there
+      over all powers, `P G`, `COPIES` times;
     - detection: work space of about a dictionary;
     - a dictionary, `I C M` complex, where each sequence has a field; twice, since it is joined of parts;
     - the data three times in double precision: as recorded, scaled, and as statistics;
@@ -44,6 +48,10 @@ def bytes_per_sequence(tracker: Tracker[Any], recording: Recording) -> int:
     if isinstance(config, TrackerConfig):
         of_particle = num_tones * (COPIES * 2 * num_sensors + config.power_points)
         work = (config.slots + config.births) * config.particles * of_particle
+    elif isinstance(config, PaperConfig):
+        factors = num_tones * min(recording.data.shape[-2], num_sensors)
+        of_particle = (config.slots + config.births) * 2 * num_sensors + config.power_particles
+        work = COPIES * factors * config.particles * of_particle
     else:
         work = dictionary
     own = 0 if tracker.field.num_sequences is None else 2 * dictionary

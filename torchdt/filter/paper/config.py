@@ -1,0 +1,29 @@
+"""Settings of the paper's own graph."""
+
+from dataclasses import dataclass
+
+from torchdt.core.ranges import Count, Passes, Power, Share
+from torchdt.filter.config import ObjectConfig
+
+
+@dataclass
+class PaperConfig(ObjectConfig):
+    """Direct tracking on the factor graph of Liang and Meyer; defaults of their Sec. IV, where given.
+
+    Attributes:
+        power_particles: number G of particles of each tone's power.
+        noise_particles: number E of particles of each tone's noise variance.
+        births: number of cells in which new objects are considered in every step.
+        iterations: of the messages of a step, all of which are sent at once.
+        power_max: upper limit of the uniform power prior in squared data units; None takes it from the data.
+        noise_max: upper limit of the uniform noise prior in squared data units; None takes it from the data.
+    """
+
+    power_particles: Count = 50
+    noise_particles: Count = 1000
+    births: Count = 10
+    iterations: Passes = 3
+    power_max: Power | None = None
+    noise_max: Power | None = None
+    roughening: Share = 0.0
+    resample_below: Share = 1.0
