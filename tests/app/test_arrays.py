@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,13 +20,13 @@ SIZE = (
     "tracker.particles=200",
     "tracker.round_size=64",
 )
-# The cutoffs, what missing one object in every step costs half of, are 0.2 and 0.5 m.
-SCENARIOS = {"planar_array": 0.04, "near_field": 0.1}
+# The cutoffs, what missing one object in every step costs half of, are 0.2, 0.5 m and 30 degrees.
+SCENARIOS = {"planar_array": 0.04, "near_field": 0.1, "all_round": 5.0}
 
 
 @pytest.fixture(scope="module")
 def runs(launch):
-    """Both scenarios, seeds 0 and 1."""
+    """All scenarios, seeds 0 and 1."""
     return {name: launch(f"scenario={name}", "runs=2", *SIZE, small=False) for name in SCENARIOS}
 
 
@@ -36,6 +38,39 @@ def test_two_objects_are_tracked(runs, name):
     last = [row for row in outcome.rows("gospa.csv") if row["step"] == "11"]
     assert [(row["num_truth"], row["num_estimated"]) for row in last] == [("2", "2")] * 2
     assert "WARNING" not in outcome.log
+
+
+def test_a_track_goes_through_the_seam_under_one_label(runs):
+    """From bearing 90 on by 9 degrees a step: in step 11 it is at -171."""
+    rows = [row for row in runs["all_round"].rows("tracks.csv") if row["run"] == "0"]
+    first = [row for row in rows if row["label"] == "1"]
+    bearing = [float(row["bearing_deg"]) for row in first]
+    assert len(first) >= 11
+    assert all(-180 <= value < 180 for value in bearing)
+    assert bearing[0] > 80
+    assert abs(bearing[-1] + 171) < 5
+    assert max(float(row["std_bearing_deg"]) for row in first) < 5
+
+
+def test_a_recorded_source_goes_through_the_seam_under_one_label(launch, tmp_path):
+    """A loudspeaker around a drone with four microphones, through 180 degrees in step 10 of the first 20."""
+    folder = os.environ.get("TORCHDT_DATA")
+    if not folder or not (Path(folder) / "drone").is_dir():
+        pytest.skip("real recording: TORCHDT_DATA names no folder that holds drone")
+    arrays = dict(np.load(Path(folder) / "drone" / "one_a.npz"))
+    cosine, sine = arrays["truth"][:20].T
+    arrays |= {
+        "snapshots": arrays["snapshots"][:20],
+        "truth": 90 - np.rad2deg(np.arctan2(sine, cosine)).T[..., None],
+    }
+    np.savez(tmp_path / "one_a.npz", **arrays)
+    data = ("data=npz", f"data.path={tmp_path / 'one_a.npz'}", "model.survival=0.98", "tracker.particles=100")
+    outcome = launch("scenario=all_round", *data, small=False)
+    assert outcome.status == 0, outcome.err
+    rows = outcome.rows("tracks.csv")
+    assert [row["label"] for row in rows] == ["1"] * 20
+    assert {float(row["bearing_deg"]) > 0 for row in rows} == {True, False}
+    assert np.mean(outcome.scores) < 10
 
 
 def test_a_detector_sees_directions_too(launch):

@@ -21,7 +21,8 @@ def axis_of(coordinate: Coordinate) -> Axis:
     """How a coordinate is drawn: kilometres from 2000 m up, depths downward."""
     kilometres = coordinate.unit == "m" and coordinate.high - coordinate.low >= 2000
     unit, scale = ("km", 1e-3) if kilometres else (coordinate.unit, 1.0)
-    return Axis(f"{coordinate.name.capitalize()} ({unit})", scale, downward=coordinate.name == "depth")
+    label, middle = f"{coordinate.name.capitalize()} ({unit})", (coordinate.low + coordinate.high) / 2
+    return Axis(label, scale, coordinate.name == "depth", middle, coordinate.period)
 
 
 def draw_figures(

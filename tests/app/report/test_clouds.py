@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 
+from torchdt.app.figures import axis_of
 from torchdt.app.report.belief import Belief, belief_of
 from torchdt.app.report.clouds import CLOSE_UPS, MOST_OPAQUE, Frame, cloud_figure
 from torchdt.app.report.figures import COLOURS, WAVEGUIDE_AXES, Axis
@@ -116,3 +117,17 @@ def test_nothing_there(state, estimate, frame):
     figure = cloud_figure(belief_of(state, estimate), nothing, None, 2.5, frame)
     assert figure.axes[0].get_title() == "2.5 s, potential objects: 0"
     assert [panel.axison for panel in figure.axes] == [True, False, False, False]
+
+
+def test_a_cloud_across_the_seam(estimate):
+    """Its close-up is whole, with the true position beside it; the overview has it on both sides."""
+    azimuth = Coordinate("azimuth", "deg", -180, 180, 5, -2, 2, 1e-3, 360)
+    one = type(estimate)(*(field[..., :1] if field.dim() else field for field in estimate))
+    points = torch.tensor([[[178.0, 0.5], [179.0, 0.0], [181.0, 0.0], [182.0, -0.5]]])
+    belief = Belief(points, torch.full((1, 4), 0.25), torch.ones(1, 1, 1), torch.ones(1, 1, 1))
+    frame = Frame.of_region(Region([azimuth]), [axis_of(azimuth)])
+    overview, close = cloud_figure(belief, one, torch.tensor([[-179.5]]), 0.0, frame).axes[:2]
+    assert overview.collections[0].get_offsets()[:, 0].tolist() == [178, 179, -179, -178]
+    assert close.collections[0].get_offsets()[:, 0].tolist() == [178, 179, 181, 182]
+    drawn = [line.get_xdata()[0] for panel in (overview, close) for line in panel.lines]
+    assert {-179.5, 180.5} <= set(drawn)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from torchdt.app.report.comparison import gospa_comparison_figure, tick_steps, trajectory_figure
-from torchdt.app.report.figures import method_colour, surface_figure
+from torchdt.app.report.figures import Axis, method_colour, surface_figure
 from torchdt.metrics import Gospa
 
 MINUTES = 60.0 * torch.arange(13, dtype=torch.float64)
@@ -52,6 +52,14 @@ def test_trajectory(tmp_path, tracks):
     assert markers(panel, ".") == [[3.5, 58.0]]  # absent at minute 10, and the other one stays
     assert [(text.get_text(), text.xy) for text in panel.texts] == [("5", (3.5, 58.0))]
     save(figure, tmp_path)
+
+
+def test_a_trajectory_is_cut_at_the_seam():
+    axes = (Axis("Azimuth (deg)", period=360.0), Axis("Elevation (deg)"))
+    track = torch.stack([torch.linspace(150, 270, 13), torch.full((13,), 20.0)], -1)
+    (panel,) = trajectory_figure({"one": track}, MINUTES, None, axes).axes
+    expected = [*range(150, 180, 10), 180, np.nan, *range(-170, -80, 10)]
+    np.testing.assert_allclose(panel.lines[0].get_xdata(), expected, atol=1e-4)
 
 
 def test_trajectory_without_array_or_sources(tmp_path):

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from torchdt.app.report.figures import MAX_LEGEND_LABELS, Axis, gospa_figure, surface_figure, tracks_figure
+from torchdt.app.report.figures import (
+    MAX_LEGEND_LABELS,
+    Axis,
+    gospa_figure,
+    surface_figure,
+    tracks_figure,
+)
 
 
 def save(figure, tmp_path):
@@ -131,3 +137,22 @@ def test_surface_names_all_widths():
     estimates = {"good": torch.zeros(1, 2), "bad": torch.zeros(1, 3)}
     with pytest.raises(ValueError, match="positions 2, positions 3"):
         surface_figure(torch.zeros(4, 4), (torch.arange(4), torch.arange(4)), estimates)
+
+
+AZIMUTH = Axis("Azimuth (deg)", middle=0.0, period=360.0)
+
+
+def test_tracks_across_the_seam(history, times):
+    """A line is cut between 170 and -170, and what is given on another turn is drawn within the region."""
+    bearing = history.select(0)._replace(state=history.state[0, ..., :2])
+    truth = torch.tensor([150.0, 170.0, 190.0, 210.0, 230.0, 250.0])[:, None, None]
+    (panel,) = tracks_figure(bearing, truth, times[0], (AZIMUTH,)).axes
+    line = panel.lines[0]
+    np.testing.assert_array_equal(line.get_ydata(), [150, 170, np.nan, -170, -150, -130, -110])
+    np.testing.assert_allclose(line.get_xdata()[[0, 1, 3, 4, 5, 6]], times[0] / 60)
+
+
+def test_positions_over_a_surface_are_within_the_region():
+    grid = torch.linspace(-175, 175, 36)
+    figure = surface_figure(torch.zeros(36), [grid], {"estimate": torch.tensor([[190.0]])}, None, (AZIMUTH,))
+    assert lines(figure.axes[0])["estimate"].get_xdata().tolist() == [-170]

@@ -46,6 +46,15 @@ class Frame(NamedTuple):
         """Factors `(D,)` from states to what is drawn."""
         return np.array([axis.scale for axis in self.axes] * 2)
 
+    def around(self, points: np.ndarray, middle: np.ndarray) -> np.ndarray:
+        """Scaled points `(*batch, d)` or `(*batch, D)` on the turn that is nearest to a middle `(D,)`."""
+        moved = points.copy()
+        for i, axis in enumerate(self.axes):
+            if axis.period is not None:
+                turn = axis.period * axis.scale
+                moved[..., i] -= turn * np.round((moved[..., i] - middle[i]) / turn)
+        return moved
+
 
 class Cloud(NamedTuple):
     """Particles of one object, scaled as the axes are.
@@ -146,18 +155,20 @@ def draw_panel(
     """
     across, up = pair
     is_rate = up >= len(frame.axes)
+    low, high = limits
+    middle = (low + high) / 2
     for cloud in reversed(clouds):
-        x, y = cloud.points[:, across], cloud.points[:, up]
+        points, centre = frame.around(cloud.points, middle), frame.around(cloud.centre, middle)
+        x, y = points[:, across], points[:, up]
         panel.scatter(x, y, s=9, color=cloud.colour, alpha=cloud.opacity, linewidths=0)
         if cloud.label:
-            panel.plot(cloud.centre[across], cloud.centre[up], "x", ms=7, mew=1.5, color=cloud.colour)
+            panel.plot(centre[across], centre[up], "x", ms=7, mew=1.5, color=cloud.colour)
     for place in [] if truth is None else to_array(truth[~truth.isnan().any(-1)]):
-        x = place[across] * frame.scale[across]
+        place = frame.around(place * frame.scale[: len(frame.axes)], middle)
         if is_rate:
-            panel.axvline(x, color="black", lw=1.0)
+            panel.axvline(place[across], color="black", lw=1.0)
         else:
-            panel.plot(x, place[up] * frame.scale[up], "o", ms=11, mew=1.5, mfc="none", color="black")
-    low, high = limits
+            panel.plot(place[across], place[up], "o", ms=11, mew=1.5, mfc="none", color="black")
     panel.set_xlim(low[across], high[across])
     panel.set_ylim(low[up], high[up])
     if not is_rate and frame.axes[up].downward:

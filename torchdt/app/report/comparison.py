@@ -14,6 +14,7 @@ from torchdt.app.report.figures import (
     COLOURS,
     WAVEGUIDE_AXES,
     Axis,
+    cut_line,
     finish_gospa,
     legend_outside,
     method_colour,
@@ -43,11 +44,11 @@ def trajectory_figure(
     """
     figure = Figure(figsize=(7.2, 3.0), layout="constrained")
     panel = figure.subplots()
-    scale = np.array([axis.scale for axis in axes])
     for index, (name, track) in enumerate(truth.items()):
         colour, up = COLOURS[index % len(COLOURS)], index % 2 == 0
-        points = to_array(track) * scale
-        panel.plot(*points.T, color=colour, lw=1.5, label=name)
+        line = [axis.place(values) for axis, values in zip(axes, to_array(track).T, strict=True)]
+        points = np.stack(line, -1)
+        panel.plot(*cut_line(line, axes), color=colour, lw=1.5, label=name)
         present = ~np.isnan(points).any(-1)
         start = points[present.argmax()]
         panel.plot(*start, "o", ms=9, mew=1.5, mfc="none", color=colour)
@@ -67,7 +68,7 @@ def trajectory_figure(
                 fontsize="small",
             )
     if element_depths is not None:
-        depths = to_array(element_depths) * scale[1]
+        depths = to_array(element_depths) * axes[1].scale
         panel.plot(np.zeros_like(depths), depths, "k_", ms=7, mew=1.5, label="array")
     panel.set_xlabel(axes[0].label)
     panel.set_ylabel(axes[1].label)

@@ -28,11 +28,21 @@ class Axis(NamedTuple):
         label: text at the axis, unit included.
         scale: factor from the coordinate to what is drawn.
         downward: values grow downward, as depths do.
+        middle, period: of a coordinate that goes round, in its unit: what is drawn is within half a period of
+            the middle. None: it does not go round.
     """
 
     label: str
     scale: float = 1.0
     downward: bool = False
+    middle: float = 0.0
+    period: float | None = None
+
+    def place(self, values: np.ndarray) -> np.ndarray:
+        """Where values of the coordinate are drawn."""
+        if self.period is not None:
+            values = values - self.period * np.round((values - self.middle) / self.period)
+        return values * self.scale
 
 
 WAVEGUIDE_AXES = (Axis("Range (km)", 1e-3), Axis("Depth (m)", downward=True))
@@ -62,15 +72,15 @@ def tracks_figure(
 
     for coordinate, (panel, axis) in enumerate(zip(panels, axes, strict=True)):
         if truth is not None:
-            line = to_array(truth[..., coordinate]) * axis.scale
-            for index in range(line.shape[1]):
+            for index, values in enumerate(to_array(truth[..., coordinate]).T):
                 name = "truth" if index == 0 else None
-                panel.plot(minutes, line[:, index], color="black", lw=4, alpha=0.25, label=name)
+                line = cut_line([minutes, axis.place(values)], [None, axis])
+                panel.plot(*line, color="black", lw=4, alpha=0.25, label=name)
         for order, value in enumerate(labels.tolist()):
             step, slot = np.nonzero(declared & (label == value))
             panel.plot(
                 minutes[step],
-                position[step, slot, coordinate] * axis.scale,
+                axis.place(position[step, slot, coordinate]),
                 ls="none",
                 marker=MARKERS[order // len(COLOURS) % len(MARKERS)],
                 ms=3,
@@ -164,13 +174,27 @@ def surface_figure(
     panel.set_xlabel(axes[0].label)
 
     for name, position, marker, colour, size in points:
-        x = to_array(position[:, 0]) * axes[0].scale
-        y = to_array(position[:, 1]) * axes[1].scale if surface.dim() == 2 else np.interp(x, ticks[0], values)
+        x = axes[0].place(to_array(position[:, 0]))
+        y = axes[1].place(to_array(position[:, 1])) if surface.dim() == 2 else np.interp(x, ticks[0], values)
         (line,) = panel.plot(x, y, marker, ms=size, mew=2, mfc="none", color=colour, label=name)
         if surface.dim() == 2:
             line.set_path_effects([withStroke(linewidth=4, foreground="white")])
     figure.legend(loc="outside upper right", ncols=len(points), frameon=False)
     return figure
+
+
+def cut_line(line: Sequence[np.ndarray], axes: Sequence[Axis | None]) -> list[np.ndarray]:
+    """A line with NaN between both sides of the seam of a coordinate, so that it does not cross the figure.
+
+    Args:
+        line: for each coordinate, or time, what is drawn of K points `(K,)`.
+        axes: of these; None for time.
+    """
+    across = np.zeros(len(line[0]) - 1, dtype=bool)
+    for values, axis in zip(line, axes, strict=True):
+        if axis is not None and axis.period is not None:
+            across |= np.abs(np.diff(values)) > axis.period * axis.scale / 2
+    return [np.insert(values, np.flatnonzero(across) + 1, np.nan) for values in line]
 
 
 def method_colour(index: int) -> str:
