@@ -6,6 +6,7 @@ from oracles.line_array import make_region, make_tracker
 from torchdt.filter.bp.schedule import Beliefs
 from torchdt.filter.predict import exchangeable, predict
 from torchdt.model.prior import Priors
+from torchdt.model.region import Coordinate, Region
 
 F64 = torch.float64
 REGION = make_region()
@@ -65,3 +66,11 @@ def test_a_part_of_the_particles_is_enough_for_the_moments():
     trace = part.beliefs.moment.diagonal(dim1=-2, dim2=-1).sum(-1)
     torch.testing.assert_close(trace, full.beliefs.moment.diagonal(dim1=-2, dim2=-1).sum(-1))
     assert predicted([0.0], 0.5, [3.0], 300).response.shape[-2] == 400, "fewer would not be enough"
+
+
+def test_objects_on_both_sides_of_the_seam_may_change_places():
+    """At -179.5 and 179.5 degrees: one degree apart where bearings go round, else nearly a turn."""
+    both = predicted([-179.5, 179.5], 0.5, [3.0, 2.0])
+    for period, near in ((360.0, True), (None, False)):
+        region = Region([Coordinate("bearing", "deg", -180, 180, 5, -1, 1, 1e-3, period)], F64)
+        assert bool(exchangeable(both, region)[0, 1]) is near

@@ -1,10 +1,12 @@
 """Draws against the distributions they are to have; exact tests, false alarm of 1e-6 each unless stated."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 from oracles.line_array import BEARING, FREQS, POSITIONS, make_field, make_region
+from oracles.scripts import track_settings
 from scipy.special import digamma, polygamma
 from scipy.stats import binom, chi2, gamma, kstest, poisson, uniform
 
@@ -313,3 +315,19 @@ def test_a_sequence_of_a_batch_is_the_sequence_alone():
         padded = batch.truth[b, :, :number]
         torch.testing.assert_close(alone.truth[0], padded, rtol=0, atol=0, equal_nan=True)
         assert batch.truth[b, :, number:].isnan().all()
+
+
+def test_nothing_leaves_a_region_that_goes_round():
+    """Sources that go round once in twelve steps, and would otherwise be gone after as many."""
+    azimuth = Coordinate("azimuth", "deg", -180, 180, 5, 14, 16, 1e-6)
+    settings = PopulationSettings(birth_mean=0.2, survival=1.0)
+    for period, stays in ((360.0, True), (None, False)):
+        region = Region([replace(azimuth, period=period)], torch.float64)
+        present = there(draw(settings, 40, region))
+        assert bool(present[-1].all()) is stays
+
+
+def test_the_truth_of_a_simulation_is_within_one_turn():
+    chosen = track_settings("scenario=all_round", "scenario.num_steps=12", small=False)
+    truth = simulate(chosen).truth[0, :, 0, 0]
+    assert truth[:11].tolist() == pytest.approx([*range(90, 180, 9), -180])

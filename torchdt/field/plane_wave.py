@@ -25,9 +25,9 @@ class PlaneWaveField(SensorArray):
     - `bearing`: degrees clockwise from north, on the horizon. The sensors must not stand on a line, which
       cannot tell one side of it from the other: for a line there is `LineArrayField`.
 
-    Angles go round in a region whose coordinates say so, see `Coordinate.period`. Sensors in a plane hear the same from both sides of
-    it, so that a tracker refuses a region that holds both, such as elevations of both signs over sensors on
-    level ground.
+    Angles go round in a region whose coordinates say so, see `Coordinate.period`. Sensors in a plane hear
+    the same from both sides of it, so that a tracker refuses a region that holds both, such as elevations of
+    both signs over sensors on level ground.
 
     Args:
         freqs: `(I,)` tones, Hz.

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchdt.core.importance import Box, Gaussian
 from torchdt.core.random import RandomStreams
-from torchdt.filter.proposal.neighbourhood import drop_foreign, grow, log_cells, place_of
+from torchdt.filter.proposal.neighbourhood import cell_around, drop_foreign, grow, log_cells, place_of
 from torchdt.model.region import Coordinate, Region
 
 F64 = torch.float64
@@ -92,3 +92,32 @@ def test_a_pick_found_twice_counts_once():
     )
     assert kept[:, 0].eq(0).all()
     assert kept[:, 1:].eq(-math.inf).all()
+
+
+AROUND = Region([Coordinate("azimuth", "deg", -180, 180, 5, -1, 1, 1e-2, 360)], F64)
+
+
+def test_a_box_goes_on_behind_the_seam_and_ends_after_one_period():
+    """A narrow likelihood next to the seam, and one that says nothing."""
+    peak, width = torch.tensor([[179.0], [179.0]], dtype=F64), torch.tensor([[1e-3], [1e9]], dtype=F64)
+
+    def log_likelihood(points: Tensor) -> Tensor:
+        return -0.5 * (AROUND.difference(points, peak[:, None]) / width[:, None]).square().sum(-1)
+
+    rounds = RandomStreams.from_seeds([1, 2], (2,), F64).normal(4, 128, 1).movedim(1, 0)
+    box = grow(log_likelihood, peak, AROUND, rounds)
+    assert box.low[:, 0].tolist() == [176.5, -1.0]
+    assert box.high[:, 0].tolist() == [181.5, 359.0]
+    torch.testing.assert_close(log_cells(box, AROUND).exp(), torch.tensor([1.0, 72.0], dtype=F64))
+    assert cell_around(peak, AROUND).high[0].item() == 181.5
+
+
+def test_a_place_counts_once_on_whatever_turn_it_is():
+    """Both see an object across the seam, one from each side: the sharper one has what both hold."""
+    boxes = Box(torch.tensor([[170.0], [-182.0]], dtype=F64), torch.tensor([[190.0], [-178.0]], dtype=F64))
+    points = torch.tensor([175.0, 179.0, 181.0, 185.0], dtype=F64)[:, None]
+    points = torch.stack([points, points - 360])
+    active = torch.ones(2, dtype=torch.bool)
+    kept = drop_foreign(points, torch.zeros(2, 4, dtype=F64), boxes, active, AROUND).eq(0)
+    assert kept[0].tolist() == [True, False, False, True]
+    assert kept[1, 1:3].all()
