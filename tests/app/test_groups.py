@@ -23,6 +23,8 @@ from torchdt.run.track import track
 SHORT = ("scenario.num_steps=2", "logging=quiet")
 GIVEN = {"model/noise/coloured.yaml": (f"model.noise.matrix={torch.eye(8).tolist()}",)}
 """What parts of the model have no default for, on the line array."""
+PLANE = {"model/motion/constant_turn.yaml"}
+"""Parts for two coordinates."""
 
 
 def options(group):
@@ -99,9 +101,11 @@ def test_tracker(line, name):
 def test_model(line, part):
     """Each part of the model tracks a step in the place of the default one."""
     group, name = part.removesuffix(".yaml").rsplit("/", 1)
-    chosen = settings("scenario=line_array", f"{group}={name}", *GIVEN.get(part, ()), *SHORT)
-    tracker = build_tracker(chosen, line)
-    history = track(line, tracker, [0])
+    scenario = "near_field" if part in PLANE else "line_array"
+    chosen = settings(f"scenario={scenario}", f"{group}={name}", *GIVEN.get(part, ()), *SHORT)
+    recording = simulate(chosen) if part in PLANE else line
+    tracker = build_tracker(chosen, recording)
+    history = track(recording, tracker, [0])
     assert history.log_evidence.isfinite().all()
     assert set(chosen.statistical_model.known()) <= set(tracker.model.known())
 

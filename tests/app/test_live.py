@@ -29,7 +29,7 @@ def test_all_that_is_written_of_a_step_is_of_the_first_sequence(report, recordin
     live_report, written = report
     first = torch.zeros(1, 3, 2, dtype=torch.float64)
     estimate = TrackHistory(*[torch.cat([first, first + 1])] * len(TrackHistory._fields))._replace(
-        declared=torch.tensor([[False] * 3, [True] * 3])
+        declared=torch.tensor([[False] * 3, [True] * 3]), position=torch.zeros(2, 3, 1, dtype=torch.float64)
     )
     live_report(3, torch.tensor([4.0, 5.0]), estimate, slice(0, 2))
     live_report(3, torch.tensor([5.0]), estimate, slice(1, 2))

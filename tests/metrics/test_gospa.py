@@ -144,7 +144,6 @@ def test_a_seam_is_no_distance_for_any_metric(metric):
     elif metric == "tgospa":
         assert tgospa(truth[None], found[None], 30.0, 1.0, distance=distance).total == 6
     else:
-        history = history_like(1, 1, 2, 2, 1, F64)
-        state = torch.cat([found, torch.zeros_like(found)], -1)[None]
-        history = history._replace(state=state, declared=here[None], label=torch.tensor([[1, 2]]))
+        history = history_like(1, 1, 2, 1, 2, 1, F64)
+        history = history._replace(position=found[None], declared=here[None], label=torch.tensor([[1, 2]]))
         assert track_delays(history, truth[None], 30.0, distance=distance).birth == [0, 0]

@@ -9,13 +9,14 @@ from torch import Tensor
 class TrackHistory(NamedTuple):
     """Beliefs about N potential objects over K steps.
 
-    A state is d positions, then d rates (D = 2d). Values of slots that hold no object are finite but
-    meaningless: read them only where `declared` is true or `label` is positive.
+    A state is d positions, then what the motion has beside them. Values of slots that hold no object are
+    finite but meaningless: read them only where `declared` is true or `label` is positive.
 
     Attributes:
         existence: `(*batch, K, N)` probability that the object exists.
         declared: `(*batch, K, N)` bool, the object is reported.
         label: `(*batch, K, N)` int64, identity of the track in the slot; 0 = none yet.
+        position: `(*batch, K, N, d)` the first entries of the state.
         state: `(*batch, K, N, D)` minimum mean-square error (MMSE) estimates given existence.
         state_std: `(*batch, K, N, D)` standard deviations of the state given existence, in its units.
         power: `(*batch, K, N, I)` MMSE transmit power per tone, in squared units of the data.
@@ -28,6 +29,7 @@ class TrackHistory(NamedTuple):
     existence: Tensor
     declared: Tensor
     label: Tensor
+    position: Tensor
     state: Tensor
     state_std: Tensor
     power: Tensor
@@ -36,18 +38,13 @@ class TrackHistory(NamedTuple):
     failed: Tensor
     log_evidence: Tensor
 
-    @property
-    def position(self) -> Tensor:
-        """Position estimates `(*batch, K, N, d)`."""
-        return self.state[..., : self.state.shape[-1] // 2]
-
     def select(self, run: int) -> "TrackHistory":
         """One element of the leading batch dimension, `(K, ...)` for a batch `(B, K, ...)`."""
         return TrackHistory(*(field[run] for field in self))
 
 
 def history_like(
-    batch: int, steps: int, slots: int, dims: int, tones: int, dtype: torch.dtype
+    batch: int, steps: int, slots: int, dims: int, entries: int, tones: int, dtype: torch.dtype
 ) -> TrackHistory:
     """A history of these sizes whose values mean nothing, on the device `meta`, which holds none.
 
@@ -55,13 +52,19 @@ def history_like(
         batch: number B of sequences.
         steps: number K of steps.
         slots: number N of potential objects.
-        dims: number D of state entries.
+        dims: number d of coordinates.
+        entries: number D of state entries.
         tones: number I.
         dtype: real type of all that is neither a label nor a decision.
     """
     of_slot: tuple[int, ...] = (batch, steps, slots)
-    shapes = {"state": (*of_slot, dims), "state_std": (*of_slot, dims), "power": (*of_slot, tones)}
-    shapes |= {"noise": (*of_slot[:2], tones), "log_evidence": of_slot[:2], "failed": of_slot[:2]}
+    shapes = {"state": (*of_slot, entries), "state_std": (*of_slot, entries), "power": (*of_slot, tones)}
+    shapes |= {
+        "position": (*of_slot, dims),
+        "noise": (*of_slot[:2], tones),
+        "log_evidence": of_slot[:2],
+        "failed": of_slot[:2],
+    }
     types = {"declared": torch.bool, "label": torch.int64, "failed": torch.bool}
     return TrackHistory(
         *(

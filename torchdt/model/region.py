@@ -167,8 +167,13 @@ class Region:
 
     @property
     def num_coordinates(self) -> int:
-        """Number d of position coordinates; a state has 2 d entries."""
+        """Number d of position coordinates."""
         return len(self.coordinates)
+
+    @property
+    def num_entries(self) -> int:
+        """Number D of entries of a state: positions, then what the motion has beside them."""
+        return len(self.column_names)
 
     @cached_property
     def num_cells(self) -> int:

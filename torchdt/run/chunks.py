@@ -55,7 +55,9 @@ def bytes_per_sequence(tracker: Tracker[Any], recording: Recording) -> int:
     else:
         work = dictionary
     own = 0 if tracker.field.num_sequences is None else 2 * dictionary
-    estimates = K * (config.slots * (4 * region.num_coordinates + num_tones + 4) + num_tones + 2)
+    estimates = K * (
+        config.slots * (region.num_coordinates + 2 * region.num_entries + num_tones + 4) + num_tones + 2
+    )
     data = recording.data[0].numel() * torch.complex128.itemsize
     return (work + own + 2 * estimates) * region.low.dtype.itemsize + 3 * data
 

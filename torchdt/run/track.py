@@ -110,7 +110,7 @@ def _track_chunk(
     keeper = None if keep is None else keep(streams, recording.num_steps)
 
     def history_of(steps: int) -> TrackHistory:
-        sizes = tracker.config.slots, 2 * region.num_coordinates, recording.num_tones
+        sizes = tracker.config.slots, region.num_coordinates, region.num_entries, recording.num_tones
         return history_like(recording.batch_size, steps, *sizes, region.low.dtype)
 
     def report(step: int, state: Any, estimate: TrackHistory) -> None:

@@ -42,6 +42,7 @@ def history():
         existence=torch.where(declared, 0.987654321, 0.01),
         declared=declared,
         label=label,
+        position=state[..., :2],
         state=state,
         state_std=torch.tensor([2.0, 0.5, 0.25, 0.125]).expand_as(state).clone(),
         power=torch.tensor([10.0, 1000.0]).expand(B, K, N, I).clone(),

@@ -56,7 +56,7 @@ def test_tracks_without_truth_or_objects(tmp_path, history, times):
 
 
 def test_tracks_of_a_bearing(history, truth, times):
-    bearing = history.select(0)._replace(state=history.state[0, ..., :2])
+    bearing = history.select(0)._replace(position=history.position[0, ..., :1])
     (panel,) = tracks_figure(bearing, truth[0, ..., :1], times[0], (Axis("Bearing (deg)"),)).axes
     assert panel.get_ylabel() == "Bearing (deg)"
 

@@ -14,7 +14,7 @@ class Belief(NamedTuple):
     """Weighted samples of N potential objects after a step.
 
     Attributes:
-        particles: `(N, P, D)` d positions, then d rates.
+        particles: `(N, P, D)` d positions, then what the motion has beside them.
         weight: `(N, P)` of the particles; those of an object sum to one.
         power: `(N, I, G)` support points of each tone's power, in squared units of the data.
         power_weight: `(N, I, G)` of the support points; those of a tone sum to one.

@@ -24,27 +24,38 @@ WIDE = 4.0
 
 
 class Frame(NamedTuple):
-    """What particles are drawn in.
+    """What particles are drawn in: positions; a single one with its rate, or without one, its weight.
 
     Attributes:
         axes: of the d coordinates.
-        low, high: `(D,)` limits of positions and rates.
+        low, high: `(max(d, 2),)` limits of what is drawn.
+        beside: label of what a single coordinate is drawn against.
     """
 
     axes: Sequence[Axis]
     low: Tensor
     high: Tensor
+    beside: str = "Rate (per s)"
 
     @classmethod
     def of_region(cls, region: Region, axes: Sequence[Axis]) -> Self:
-        """A whole region, with the rates of newborn objects."""
-        low = torch.cat([region.low, region.rate_low])
-        return cls(axes, low, torch.cat([region.high, region.rate_high]))
+        """A whole region, with the rates of newborn objects where one coordinate has one."""
+        number = max(2, len(axes))
+        if region.num_entries < number:
+            low, high = torch.zeros_like(region.low), torch.ones_like(region.low)
+            return cls(axes, torch.cat([region.low, low]), torch.cat([region.high, high]), "Weight")
+        low, high = torch.cat([region.low, region.rate_low]), torch.cat([region.high, region.rate_high])
+        return cls(axes, low[:number], high[:number])
 
     @property
     def scale(self) -> np.ndarray:
-        """Factors `(D,)` from states to what is drawn."""
-        return np.array([axis.scale for axis in self.axes] * 2)
+        """Factors `(max(d, 2),)` to what is drawn."""
+        return np.array([axis.scale for axis in self.axes] * 2)[: len(self.low)]
+
+    def entries(self, particles: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """What is drawn, `(P, max(d, 2))`, of particles `(P, D)` and their weights over the largest."""
+        drawn = np.column_stack([particles, weight / weight.max()])[:, : len(self.low)]
+        return drawn * self.scale
 
     def around(self, points: np.ndarray, middle: np.ndarray) -> np.ndarray:
         """Scaled points `(*batch, d)` or `(*batch, D)` on the turn that is nearest to a middle `(D,)`."""
@@ -62,9 +73,9 @@ class Cloud(NamedTuple):
     Attributes:
         label: of the object, 0 if it was never declared.
         existence: its probability.
-        points: `(P', D)`, some of the P.
+        points: `(P', max(d, 2))`, some of the P.
         opacity: `(P',)`, in proportion to the weights.
-        centre, spread: `(D,)` weighted mean and standard deviation of all P.
+        centre, spread: `(max(d, 2),)` weighted mean and standard deviation of all P.
     """
 
     label: int
@@ -92,7 +103,7 @@ def cloud_figure(
     """Draw all potential objects in the whole region, and the most probable ones from close up.
 
     One row of panels shows the first two coordinates; a third one, against the first, adds a row. A single
-    coordinate is drawn against its rate.
+    coordinate is drawn against its rate, or without one against the weights of the particles.
 
     Args:
         belief: about N potential objects.
@@ -126,7 +137,8 @@ def clouds_of(belief: Belief, estimate: TrackHistory, frame: Frame) -> list[Clou
     existence, label = to_array(estimate.existence), to_array(estimate.label)
     clouds = []
     for slot in np.argsort(-existence, kind="stable")[: np.count_nonzero(existence > 0)].tolist():
-        points, weight = to_array(belief.particles[slot]) * frame.scale, to_array(belief.weight[slot])
+        weight = to_array(belief.weight[slot])
+        points = frame.entries(to_array(belief.particles[slot]), weight)
         centre = weight @ points
         spread = np.sqrt(weight @ (points - centre) ** 2)
         some = slice(None, None, math.ceil(len(weight) / MOST_PARTICLES))
@@ -148,13 +160,13 @@ def draw_panel(
     Args:
         panel: where to draw.
         clouds: the most important first.
-        limits: `(D,)` each, scaled as the axes are.
+        limits: `(max(d, 2),)` each, scaled as the axes are.
         truth: `(L, d)`, or None.
         frame: axes of the d coordinates.
-        pair: entries of the state drawn across and up; a true position has no rate, and is a line.
+        pair: entries drawn across and up; beside a single true position there is nothing, and it is a line.
     """
     across, up = pair
-    is_rate = up >= len(frame.axes)
+    beside = up >= len(frame.axes)
     low, high = limits
     middle = (low + high) / 2
     for cloud in reversed(clouds):
@@ -165,16 +177,16 @@ def draw_panel(
             panel.plot(centre[across], centre[up], "x", ms=7, mew=1.5, color=cloud.colour)
     for place in [] if truth is None else to_array(truth[~truth.isnan().any(-1)]):
         place = frame.around(place * frame.scale[: len(frame.axes)], middle)
-        if is_rate:
+        if beside:
             panel.axvline(place[across], color="black", lw=1.0)
         else:
             panel.plot(place[across], place[up], "o", ms=11, mew=1.5, mfc="none", color="black")
     panel.set_xlim(low[across], high[across])
     panel.set_ylim(low[up], high[up])
-    if not is_rate and frame.axes[up].downward:
+    if not beside and frame.axes[up].downward:
         panel.invert_yaxis()
     panel.set_xlabel(frame.axes[across].label)
-    panel.set_ylabel("Rate (per s)" if is_rate else frame.axes[up].label)
+    panel.set_ylabel(frame.beside if beside else frame.axes[up].label)
     for axis in (panel.xaxis, panel.yaxis):
         axis.set_major_locator(MaxNLocator(3))  # as close-ups have long numbers
     panel.ticklabel_format(useOffset=False)

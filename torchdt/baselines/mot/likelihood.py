@@ -69,7 +69,7 @@ class GaussianPosition:
     """
 
     def __init__(self, region: Region, spread: Sequence[float] | None = None, motion: Motion | None = None):
-        self.region, self.motion = region, ConstantVelocity() if motion is None else motion
+        self.region, self.motion = region, (ConstantVelocity() if motion is None else motion).on(region)
         self.spread = per_coordinate(spread, region.cell / 2, "tracker.spread")
         self._turn = region.period / self.spread
         self._log_volume = (region.high - region.low).log().sum()

@@ -122,11 +122,13 @@ class PointTracker:
         known = self._predict(state.objects, driving)
         objects = self._most_probable(self._update(known, points, proposed))
         declared, label, next_label = declare(objects.log_odds, objects.label, state.next_label, cfg)
+        mean = self.region.wrap(weighted_mean(objects.particles.mT, objects.log_weight.unsqueeze(-2)))
         history = TrackHistory(
             existence=torch.sigmoid(objects.log_odds),
             declared=declared,
             label=label,
-            state=self.region.wrap(weighted_mean(objects.particles.mT, objects.log_weight.unsqueeze(-2))),
+            position=mean[..., : self.region.num_coordinates],
+            state=mean,
             state_std=standard_deviation(objects.particles, objects.log_weight),
             power=objects.power,
             noise=points.noise,

@@ -76,8 +76,8 @@ class BaseMotion(Part):
     `column_names`) and how it moves (`move`).
 
     Attributes:
-        driving_variance: of each entry of the driving noise, as many as there are coordinates unless
-            `num_driving` says otherwise; None takes the region's, (unit / s^2)^2.
+        driving_variance: of the driving noise, one for each coordinate; None takes the region's,
+            (unit / s^2)^2. A motion with other driving noise says so by `num_driving` and `variance`.
     """
 
     KEY: ClassVar[str] = "model.motion"
@@ -92,6 +92,14 @@ class BaseMotion(Part):
         """One driving noise for each coordinate."""
         return num_coordinates
 
+    def variance(self) -> Tensor:
+        """Of the driving noise, `(*batch, num_driving)`."""
+        return self.driving_variance
+
+    def default_variance(self, region: Region) -> Tensor:
+        """The `driving_variance` of a motion that has none of its own, `(d,)`: the region's."""
+        return region.driving_variance
+
     def move(self, state: Tensor, driving: Tensor, step_s: float) -> Tensor:
         """New states f(x, q).
 
@@ -104,7 +112,7 @@ class BaseMotion(Part):
 
     def predict(self, state: Tensor, draws: Tensor, step_s: float, gradient: str) -> tuple[Tensor, Tensor]:
         """Move particles, see `Motion.predict`."""
-        driving, log_ratio = drive(draws, self.driving_variance.unsqueeze(-2), gradient)
+        driving, log_ratio = drive(draws, self.variance().unsqueeze(-2), gradient)
         return self.move(state, driving, step_s), log_ratio
 
     def moments(self, mean: Tensor, covariance: Tensor, step_s: float) -> tuple[Tensor, Tensor]:
@@ -113,7 +121,7 @@ class BaseMotion(Part):
         Sigma points of state and driving noise together, of equal weight and none at the centre: `+-sqrt(n)`
         standard deviations along each of the n directions (Julier and Uhlmann, Proc. IEEE 92, 2004).
         """
-        variance = self.driving_variance.unsqueeze(-2).expand(*mean.shape[:-1], -1)
+        variance = self.variance().unsqueeze(-2).expand(*mean.shape[:-1], -1)
         num_state, num_noise = mean.shape[-1], variance.shape[-1]
         spread = (num_state + num_noise) ** 0.5
         along = spread * scale_tril(covariance).mT
@@ -150,5 +158,5 @@ class BaseMotion(Part):
         variance = self.driving_variance
         if not isinstance(variance, Tensor):
             key = f"{self.KEY}.driving_variance"
-            variance = per_coordinate(variance, region.driving_variance, key)
+            variance = per_coordinate(variance, self.default_variance(region), key)
         return super(BaseMotion, replace(self, driving_variance=variance)).on(region)
