@@ -7,6 +7,7 @@ import torch
 from oracles.arrays import complex_normal
 from oracles.grid_filter import Grid
 from oracles.grid_filter import run as run_on_grid
+from oracles.likelihood import frozen_proposals, rewind
 from oracles.line_array import FREQS, POSITIONS, make_tracker
 from torch import Tensor
 
@@ -40,8 +41,9 @@ def started(
     """One object that exists, in modes of the same deviation and with rates of a deviation of 0.05."""
     limit = torch.full((RUNS, 2), 1.0, dtype=F64)
     state, rng = tracker.init(Priors(limit, limit)), torch.Generator().manual_seed(3)
-    raw = torch.randn(RUNS, PARTICLES, 2, generator=rng, dtype=F64)
-    counts = torch.tensor([round(share * PARTICLES) for share in shares])
+    number = tracker.config.particles
+    raw = torch.randn(RUNS, number, 2, generator=rng, dtype=F64)
+    counts = torch.tensor([round(share * number) for share in shares])
     centre = torch.tensor(modes, dtype=F64).repeat_interleave(counts)
     particles = raw * torch.tensor([deviation, 0.05]) + torch.stack([centre, torch.zeros_like(centre)], -1)
     objects = state.objects._replace(
@@ -153,6 +155,12 @@ def exact(
     return found, torch.stack([density[:, left].sum((-2, -1)), density[:, ~left].sum((-2, -1))], -1)
 
 
+def mirrored(**settings) -> DirectTracker:
+    """A tracker that cannot tell the sides apart."""
+    small = make_tracker(**(SETTINGS | settings))
+    return DirectTracker(FIELD, REGION, 1.0, small.config, small.model)
+
+
 @pytest.mark.parametrize(
     ("modes", "shares", "deviation", "nats"),
     [([-19.5, 20.0], [0.6, 0.4], 1.0, 0.03), ([0.5], [1.0], 12.0, 0.1)],
@@ -166,8 +174,7 @@ def test_both_modes_of_a_likelihood_are_weighed(modes, shares, deviation, nats):
     """
     data = recording()
     expected, sides = exact(data, modes, shares, deviation)
-    small = make_tracker(**SETTINGS)
-    tracker = DirectTracker(FIELD, REGION, 1.0, small.config, small.model)
+    tracker = mirrored()
     states, found = run(tracker, started(tracker, modes, shares, deviation), data)
     count, energy = data.num_snapshots, data.energy
     alone = (-count * 8 * math.log(math.pi * ETA) - energy * count / ETA).sum(-1)
@@ -176,3 +183,32 @@ def test_both_modes_of_a_likelihood_are_weighed(modes, shares, deviation, nats):
     mass = torch.stack([left, 1 - left], -1) * existence[..., None]
     torch.testing.assert_close((found - alone).mean(0), expected, rtol=0, atol=nats)
     torch.testing.assert_close(mass.mean(0), sides, rtol=0, atol=nats / 2 + 0.005)
+
+
+NUMBERS = {
+    "survival": torch.tensor(0.95, dtype=F64),
+    "driving_variance": torch.tensor([DRIVING**2], dtype=F64),
+}
+
+
+@pytest.mark.parametrize("gradient", ["score", "reparameterised"])
+def test_gradient_of_two_modes_equals_finite_differences(gradient):
+    """Through shares, means and covariances of the modes; proposals stand still. Relative error 1e-5."""
+    tracker, data = mirrored(gradient=gradient, particles=60), recording()
+    start = started(tracker, [-19.5, 20.0], [0.6, 0.4], 1.0)
+
+    def value(numbers: dict[str, Tensor]) -> Tensor:
+        return run(tracker.with_model(tracker.model.with_numbers(numbers)), start, data)[1].sum()
+
+    leaves = {name: number.clone().requires_grad_() for name, number in NUMBERS.items()}
+    with frozen_proposals() as tapes:
+        slopes = torch.autograd.grad(value(leaves), list(leaves.values()))
+        for (name, at), slope in zip(NUMBERS.items(), slopes, strict=True):
+            if gradient == "score" and name == "driving_variance":
+                continue  # moves particles, which is no part of it
+            ends = []
+            for step in (1e-5, -1e-5):
+                rewind(tapes)
+                ends.append(value(NUMBERS | {name: at * (1 + step)}))
+            difference = (ends[0] - ends[1]) / (2e-5 * at)
+            assert slope.item() == pytest.approx(difference.item(), rel=1e-5), name

@@ -38,6 +38,31 @@ def kalman_log_likelihood(observed: Tensor, log_q: Tensor, log_r: Tensor) -> Ten
     return total
 
 
+def kalman_filter(
+    observed: Tensor, mean: Tensor, covariance: Tensor, F: Tensor, Q: Tensor, r: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Kalman filter of a state `x' = F x + v` whose first entry is observed in noise of variance r.
+
+    Args:
+        observed: `(T,)`.
+        mean, covariance: `(D,)` and `(D, D)` before the first prediction.
+        F, Q: `(D, D)` transition, and covariance of v.
+        r: variance of the observations.
+
+    Returns:
+        Means `(T, D)` and covariances `(T, D, D)` given the observations so far, and log evidences `(T,)`.
+    """
+    means, covariances, evidences = [], [], []
+    for y in observed:
+        mean, covariance = F @ mean, F @ covariance @ F.mT + Q
+        innovation, gain = covariance[0, 0] + r, covariance[:, 0] / (covariance[0, 0] + r)
+        evidences.append(-0.5 * ((y - mean[0]) ** 2 / innovation + (2 * math.pi * innovation).log()))
+        mean, covariance = mean + gain * (y - mean[0]), covariance - gain[:, None] * covariance[0]
+        means.append(mean)
+        covariances.append(covariance)
+    return torch.stack(means), torch.stack(covariances), torch.stack(evidences)
+
+
 def exact_score(observed: Tensor, theta: Tensor) -> Tensor:
     """Gradient of the exact log-likelihood in `(log q, log r)`, `(2,)`."""
     theta = theta.clone().requires_grad_()

@@ -43,7 +43,7 @@ class Adapted(NamedTuple):
         state: `(*batch, P, D)`.
         component: `(*batch, P)` int64, of the prediction, that each belongs to.
         white: `(*batch, P, D)` the standard normal draws that its component maps to each.
-        log_prior: `(*batch, P)` log-density of its component, weight included, there.
+        log_prior: `(*batch, P)` log-density of its component there.
         log_proposal: `(*batch, P)` log of the density of particles of its component, which they add up to
             their number.
     """
@@ -116,8 +116,7 @@ def propose_adapted(
         drawn = draw_adapted(log_likelihood, prediction, take(draws.rounds, index), take(draws.final, index))
         if gradient == "reparameterised":
             state = prediction.sample(drawn.white, drawn.component)
-            log_share = prediction.log_share(drawn.component)
-            log_prior = drawn.log_prior + log_share - log_share.detach()
+            log_prior = drawn.log_prior + prediction.log_share(drawn.component)
         else:
             state, log_prior = drawn.state, prediction.log_prob(drawn.state, drawn.component)
         log_weight = log_prior - drawn.log_proposal
@@ -202,8 +201,7 @@ def draw_adapted(
         log_position + num_prior.log()[..., None], log_fitted + num_fitted.log()[..., None]
     )
     log_proposal = log_drawn + log_state - log_position
-    log_prior = predicted.log_weight[..., None] + log_state
-    parts = (state, white, log_prior, log_proposal)
+    parts = (state, white, log_state, log_proposal)
     state, white, log_prior, log_proposal = (of_component(t, strata.component) for t in parts)
     return Adapted(state, strata.component, white, log_prior, log_proposal)
 
