@@ -75,6 +75,10 @@ def test_no_table_without_variants(launch):
             ["variants=[{}]", "tracker=mp_bp"],
             "key 'tracker': found TwoStepConfig, expected settings of direct",
         ),
+        (
+            ["variants=[{}]", "tracker=direct_paper"],
+            "key 'tracker': found PaperConfig, expected settings of direct",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_named(launch, overrides, message):

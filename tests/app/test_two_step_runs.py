@@ -134,6 +134,10 @@ def test_bad_settings(launch, tracker, override, words):
 
 
 def test_only_direct_tracking_is_tuned(settings, tmp_path):
+    """The tracker on the paper's graph has no likelihood either."""
+    paper = settings("tracker=direct_paper", "scenario=line_array", small=False)
+    with pytest.raises(InputError, match="'tracker': found PaperConfig, expected settings of direct"):
+        build_problem(paper, {}, [])
     conventional = settings("tracker=mp_bp", "scenario=line_array", small=False)
     with pytest.raises(InputError, match="'tracker': found TwoStepConfig, expected settings of direct"):
         build_problem(conventional, {}, [])
