@@ -44,6 +44,8 @@ def partition(points: Tensor, log_weight: Tensor, most: int) -> tuple[Tensor, Te
     price = MARGIN + 0.25 * (dim + 1) * (dim + 2) * size.log1p() / size
     label = torch.zeros_like(log_weight, dtype=torch.int64)
     labels, scores = [label], [torch.zeros_like(size)]
+    if most == 1:
+        return label, torch.ones_like(size, dtype=torch.int64)
     above, gain = (t.unsqueeze(size.ndim) for t in _cut(points, log_weight))
     for cluster in range(1, most):
         best, which = gain.max(-1)
