@@ -69,7 +69,7 @@ def test_no_table_without_variants(launch):
     ("overrides", "message"),
     [
         (["variants=[{},{survival: 1.5}]"], "key 'variants[1].survival': found 1.5, expected a probability"),
-        (["variants=[{colour: 1}]"], "key 'variants[0].colour': found an unknown key, expected one of"),
+        (["variants=[{colour: 1}]"], "key 'variants[0].colour': found an unknown number, expected one of"),
         (["variants=[]"], "key 'variants': found none, expected one setting or more"),
         (
             ["variants=[{}]", "tracker=mp_bp"],

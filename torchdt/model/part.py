@@ -1,7 +1,7 @@
 """Parts of the statistical model: what each declares of its numbers.
 
 A part is a frozen dataclass. A number that a likelihood can be differentiated in is a field made by `number`,
-and known by the field's name everywhere: in configurations, in Python, in tuning, in results.
+and known by the field's name everywhere: in configurations, in Python, in tuning, in results. For example::
 
     @dataclass(frozen=True)
     class GammaPower(Part):
