@@ -77,12 +77,12 @@ def test_a_configuration_nests_the_numbers_under_their_parts():
     assert found == {"survival": 0.9, "power": {"power_shape": 20.0}, "birth": {"birth_mean": 0.1}}
 
 
-@pytest.mark.parametrize(("batch", "dims"), [((), 1), ((), 2), ((3,), 1), ((2, 3), 2)])
+@pytest.mark.parametrize(("batch", "dims"), [((), 0), ((), 1), ((), 2), ((3,), 1), ((2, 3), 2)])
 def test_widened_values_broadcast_over_what_follows_the_batch(batch, dims):
     value = torch.randn(batch, generator=torch.Generator().manual_seed(1))
     wide = widen(value, dims)
     assert wide.shape == (*batch, *[1] * dims)
-    following = torch.zeros(*batch, *[4] * dims)
+    following = torch.zeros((*batch, *[4] * dims))
     for at in np.ndindex(*batch):
         assert (wide + following)[at].eq(value[at]).all()
 

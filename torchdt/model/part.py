@@ -42,7 +42,7 @@ def number(default: float | Sequence[float] | None, support: Support, *, vector:
 
 def widen(value: Tensor, dims: int) -> Tensor:
     """Append dimensions of size one, so that `(*batch,)` broadcasts to `(*batch, ...)`."""
-    return value.reshape(*value.shape, *(1 for _ in range(dims)))
+    return value.reshape((*value.shape, *(1 for _ in range(dims))))
 
 
 @dataclass(frozen=True)
