@@ -99,7 +99,12 @@ def together(measurement: Measurement) -> Measurement:
     return Measurement(*(t.unsqueeze(-k) for t, k in zip(measurement, (4, 2, 3), strict=True)))
 
 
-PLAIN = ("tracker=direct", "tracker.proposal=prior", "tracker.schedule=flooding", "tracker.roughening=0")
+PLAIN = (
+    "tracker=direct",
+    "tracker/proposal=as_predicted",
+    "tracker/schedule=flooding",
+    "tracker.resampler.roughening=0",
+)
 VARIANTS = {
     "direct_paper": (PaperTracker, False),
     "one factor per tone": (PaperTracker, True),
@@ -114,9 +119,9 @@ def evaluate(kind: type[PaperTracker] | None, joined: bool, overrides: list[str]
     settings = compose_track("line_array", overrides, 0, runs)
     recording = build_recording(settings)
     tracker = build_tracker(settings, recording)
-    if kind is not None and isinstance(settings.tracker, PaperConfig):
+    if kind is not None and isinstance(settings.built_tracker, PaperConfig):
         points = {"noise_particles": 64} if issubclass(kind, SupportPoints) else {}
-        config = dataclasses.replace(settings.tracker, **points)
+        config = dataclasses.replace(settings.built_tracker, **points)
         model = settings.statistical_model
         tracker = kind(tracker.field, tracker.region, recording.step_s, config, model)
     with patch.object(messages, "snapshots", together if joined else messages.snapshots):

@@ -20,12 +20,16 @@ from torchdt.data.recording import Recording, validate
 from torchdt.field.mismatch import MismatchedField
 from torchdt.field.plane_wave import LineArrayField
 from torchdt.field.stacked import StackedField
+from torchdt.filter.bp.evidence import GaussianEvidence
+from torchdt.filter.bp.schedule import Flooding
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.history import TrackHistory
 from torchdt.filter.likelihood import log_likelihood
 from torchdt.filter.paper.config import PaperConfig
 from torchdt.filter.paper.tracker import PaperTracker
+from torchdt.filter.proposal.adapted import Adapted
+from torchdt.filter.proposal.as_predicted import AsPredicted
 from torchdt.filter.tracker import Tracker
 from torchdt.metrics import gospa
 from torchdt.metrics.delays import track_delays
@@ -38,12 +42,12 @@ F32, F64 = torch.float32, torch.float64
 DTYPES = pytest.mark.parametrize("dtype", [F32, F64])
 PATHS = (((0.0, -40.0), (5.0, -38.0)), ((0.0, 30.0), (5.0, 29.0)))
 PLACES, TILTS = [(2812.0, 57.0), (2930.0, 41.0)], (0.0, 0.5)
-SMALLER = {"particles": 40, "births": 2, "rounds": 2}
+SMALLER = {"particles": 40, "births": 2, "proposal": Adapted(rounds=2, round_size=64)}
 DIRECT = {
     "adapted, sequential, sampled": {},
-    "adapted, flooding, gaussian": {"schedule": "flooding", "evidence": "gaussian"},
-    "prior, sequential, gaussian": {"proposal": "prior", "evidence": "gaussian"},
-    "prior, flooding, sampled": {"proposal": "prior", "schedule": "flooding"},
+    "adapted, flooding, gaussian": {"schedule": Flooding(), "evidence": GaussianEvidence()},
+    "as predicted, sequential, gaussian": {"proposal": AsPredicted(), "evidence": GaussianEvidence()},
+    "as predicted, flooding, sampled": {"proposal": AsPredicted(), "schedule": Flooding()},
 }
 DETECTORS = {
     "matching pursuit": PursuitConfig(points=4, threshold=8.0),

@@ -21,7 +21,7 @@ from torchdt.core.random import RandomStreams
 from torchdt.core.resampling import stop_gradient_weights, systematic_indices
 from torchdt.core.weights import normalise
 from torchdt.model.motion.constant_velocity import predict_state
-from torchdt.model.motion.driving import drive
+from torchdt.model.motion.driving import Score, drive
 
 STEP_S, DRIVING, SPREAD, RATE = 1.0, 0.05, 10.0, 1.0
 """Step in s; driving noise in (m/s^2)^2; deviation of measured positions in m, of rates at first in m/s."""
@@ -135,7 +135,7 @@ def filter_step(
     Returns:
         Resampled particles; their log-weights `(P,)`, even but for their gradient; `log p(z_k | z_1..k-1)`.
     """
-    noise, log_ratio = drive(streams.normal(len(particles), 2), driving, "score")
+    noise, log_ratio = drive(streams.normal(len(particles), 2), driving, Score())
     moved = predict_state(particles, noise, STEP_S)
     density = torch.distributions.Normal(moved[:, :2], spread, validate_args=False)
     log_weight, log_evidence = normalise(

@@ -1,6 +1,5 @@
 """Time of the parts of a step, of the whole, and of many sequences at once."""
 
-import dataclasses
 import itertools
 from collections.abc import Callable
 from functools import partial
@@ -14,10 +13,11 @@ from benchmarks.clock import clock_in_turn
 from benchmarks.report import Measured
 from torchdt.core.errors import InputError
 from torchdt.core.random import RandomStreams
+from torchdt.core.resampling import Systematic
 from torchdt.data.recording import Recording
 from torchdt.filter.bp.moments import response_moment, signal_covariance
 from torchdt.filter.bp.schedule import update
-from torchdt.filter.declare import conclude, resample_particles
+from torchdt.filter.declare import conclude
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.placement import Placer
 from torchdt.filter.proposal.moved import respond
@@ -99,7 +99,6 @@ def forward_parts(
     tempered = measurement.tempered(widen(tracker.model.likelihood_power, 1))
     born = tracker.model.birth.log_odds(region)
     placer = Placer(field, region, tracker.dictionary, cfg, tracker.model, born)
-    adapted = cfg.proposal == "adapted"
 
     predicted = tracker.predict(state, draws.driving)
     placing = (predicted, noise, tempered, priors, draws.known, draws.newborn, draws.picks)
@@ -127,7 +126,7 @@ def forward_parts(
         tempered,
         threshold=cfg.pick_threshold(born),
         rounds=draws.picks,
-        refine=adapted,
+        proposal=cfg.proposal,
     )
     nothing = torch.zeros_like(signal)
     picks, explained = look(nothing, noise, torch.full_like(occupied, cfg.slots))
@@ -137,8 +136,8 @@ def forward_parts(
     found = (picks, explained, priors.power_max, model, cfg.power_points, born, draws.newborn)
 
     particles, log_weight = placed.objects.state, beliefs.objects.log_weight
-    roughening = (streams.uniform(log_weight.shape[-2]), streams.normal(*particles.shape[-3:]))
-    always = dataclasses.replace(cfg, resample_below=1.0)
+    always = Systematic(below=1.0)
+    resampling = always.draw(streams, *particles.shape[-3:])
     one = f"{cfg.particles} particles"
     objects, born_objects = f"{int(occupied)} objects", f"{int(picks.active.sum())} objects"
     slot_state, slot_response = particles[:, 0], placed.response[:, 0]
@@ -155,15 +154,15 @@ def forward_parts(
             "in what known objects leave",
         ),
         "newborn proposal": (
-            partial(propose_newborn, field, region, tempered, nothing, *found, adapted=adapted),
+            partial(propose_newborn, field, region, tempered, nothing, *found, proposal=cfg.proposal),
             f"{born_objects}, as if nothing were known; no part of a step in which none is found",
         ),
         "placement": (partial(placer.place, *placing), "known objects' proposals, search, newborn proposal"),
         "resampling": (
-            partial(resample_particles, particles, log_weight, *roughening, always),
+            partial(always.resample, particles, log_weight, resampling),
             f"{objects}, with roughening; no part of a step with adapted proposals",
         ),
-        "sampled evidence": (partial(tracker.evidence, *weighing), f"{cfg.evidence_samples} configurations"),
+        "evidence": (partial(tracker.evidence, *weighing), str(cfg.evidence)),
         "conclusion": (partial(conclude, placed.objects, beliefs, state, log_evidence, region, cfg), ""),
         WHOLE: (partial(tracker.step, state, measurement, priors, streams), f"{cfg.slots} slots, {one}"),
     }

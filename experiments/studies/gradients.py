@@ -24,11 +24,11 @@ from torchdt.app.tune_settings import TuneSettings
 from torchdt.core.errors import require
 from torchdt.core.ranges import Checked, Range, Steps
 from torchdt.data.prepare import prepare
-from torchdt.model.motion.driving import GRADIENTS
 from torchdt.tuning.objective import evaluate
 from torchdt.tuning.tracker import TrackerObjective
 
 log = logging.getLogger(__name__)
+GRADIENTS = ("score", "reparameterised")
 COLUMNS = ("gradient", "truncate", "hyperparameter", "mean", "std", "standard_error", "seconds")
 
 
@@ -39,7 +39,7 @@ class GradientsSettings(Checked):
     Attributes:
         overrides: of the configuration of `experiments/tune.py`, whose start is where gradients are taken.
         repeats: runs of the filter with other random numbers, on the same training sequences.
-        gradients: estimators to compare, of those of `tracker.gradient`.
+        gradients: estimators to compare, of the group `tracker/gradient`.
         truncations: steps after which the gradient through the state is cut; null never cuts it.
     """
 
@@ -73,7 +73,7 @@ def run_gradients(config: DictConfig) -> list[tuple]:
     write_json(directory / "manifest.json", manifest(dataclasses.asdict(settings), 0))
     rows: list[tuple] = []
     for gradient, truncate in itertools.product(settings.gradients, settings.truncations):
-        overrides = [*settings.overrides, f"tracker.gradient={gradient}"]
+        overrides = [*settings.overrides, f"tracker/gradient={gradient}"]
         tune = settings_of(compose("tune", overrides=overrides))
         assert isinstance(tune, TuneSettings)
         found, seconds = differentiate(tune, truncate, settings.repeats)

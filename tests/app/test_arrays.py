@@ -18,7 +18,7 @@ SIZE = (
     "tracker.slots=4",
     "tracker.births=4",
     "tracker.particles=200",
-    "tracker.round_size=64",
+    "tracker.proposal.round_size=64",
 )
 # The cutoffs, what missing one object in every step costs half of, are 0.2, 0.5 m and 30 degrees.
 SCENARIOS = {"planar_array": 0.04, "near_field": 0.1, "all_round": 5.0}

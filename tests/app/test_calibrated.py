@@ -24,8 +24,8 @@ TINY = (
     "tracker.particles=200",
     "tracker.slots=6",
     "tracker.births=5",
-    "tracker.rounds=4",
-    "tracker.round_size=64",
+    "tracker.proposal.rounds=4",
+    "tracker.proposal.round_size=64",
     "calibration.steps=4",
     "calibration.passes=1",
 )

@@ -29,12 +29,16 @@ def _conf():
 def differences(config: DictConfig, defaults: object) -> dict[str, tuple]:
     """What a configuration and a dataclass say of a key, where both say something, and not the same."""
     ours = OmegaConf.to_container(OmegaConf.structured(defaults))
-    theirs = OmegaConf.to_container(config)
+    theirs = {key: _without_target(value) for key, value in OmegaConf.to_container(config).items()}
     return {
         key: (theirs[key], ours[key])
         for key in theirs
         if theirs[key] != ours[key] and not _is_empty(ours[key])
     }
+
+
+def _without_target(value: object) -> object:
+    return {k: v for k, v in value.items() if k != "_target_"} if isinstance(value, dict) else value
 
 
 def _is_empty(default: object) -> bool:

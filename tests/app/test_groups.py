@@ -21,10 +21,16 @@ from torchdt.calibration.environment import CalibrationConfig
 from torchdt.run.track import track
 
 SHORT = ("scenario.num_steps=2", "logging=quiet")
-GIVEN = {"model/noise/coloured.yaml": (f"model.noise.matrix={torch.eye(8).tolist()}",)}
+GIVEN = {("model/noise", "coloured"): (f"model.noise.matrix={torch.eye(8).tolist()}",)}
 """What parts of the model have no default for, on the line array."""
-PLANE = {"model/motion/constant_turn.yaml"}
+PLANE = {("model/motion", "constant_turn")}
 """Parts for two coordinates."""
+
+
+def parts(group):
+    """Groups of the parts of another, and the options of each."""
+    files = sorted(file for c in CONF for file in c.glob(f"{group}/*/*.yaml"))
+    return [(f"{group}/{file.parent.name}", file.stem) for file in files]
 
 
 def options(group):
@@ -63,9 +69,10 @@ def line():
 
 def test_no_group_is_forgotten():
     groups = {path.parent.relative_to(c).as_posix() for c in CONF for path in c.glob("*/**/*.yaml")}
-    groups = {name.partition("/")[0] if name.startswith("model/") else name for name in groups}
     here = {name.removeprefix("test_").replace("hydra_", "hydra/") for name in globals()}
-    assert groups - {"experiment", "hydra/help"} <= here  # these two have files of their own
+    own = {"experiment", "hydra/help"}  # these two have files of their own
+    in_parts = {name for group in ("model", "tracker") for name, _ in parts(group)}
+    assert groups - own <= here | in_parts
 
 
 @pytest.mark.parametrize("name", options("field"))
@@ -95,12 +102,10 @@ def test_tracker(line, name):
     assert tracker.select(slice(0, 1)).region.num_coordinates == 1
 
 
-@pytest.mark.parametrize(
-    "part", sorted(path.relative_to(CONF[0]).as_posix() for path in CONF[0].glob("model/*/*.yaml"))
-)
+@pytest.mark.parametrize("part", parts("model"))
 def test_model(line, part):
     """Each part of the model tracks a step in the place of the default one."""
-    group, name = part.removesuffix(".yaml").rsplit("/", 1)
+    group, name = part
     scenario = "near_field" if part in PLANE else "line_array"
     chosen = settings(f"scenario={scenario}", f"{group}={name}", *GIVEN.get(part, ()), *SHORT)
     recording = simulate(chosen) if part in PLANE else line
@@ -108,6 +113,17 @@ def test_model(line, part):
     history = track(recording, tracker, [0])
     assert history.log_evidence.isfinite().all()
     assert set(chosen.statistical_model.known()) <= set(tracker.model.known())
+
+
+@pytest.mark.parametrize("part", parts("tracker"))
+def test_tracker_parts(part):
+    """Each is made, with the numbers that the file says, which are those of its class."""
+    chosen = settings("=".join(part))
+    name = part[0].removeprefix("tracker/")
+    built = getattr(chosen.built_tracker, name)
+    said = {key: value for key, value in getattr(chosen.tracker, name).items() if key != "_target_"}
+    assert said == {key: getattr(built, key) for key in said}
+    assert built == type(built)()
 
 
 @pytest.mark.parametrize("name", options("calibration"))

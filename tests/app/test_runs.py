@@ -52,7 +52,7 @@ def test_sources_are_found(launch):
     ("override", "num_steps"),
     [
         ("dtype=float64", 5),
-        ("tracker.schedule=flooding", 20),  # the same as sequential until the second source is born
+        ("tracker/schedule=flooding", 20),  # the same as sequential until the second source is born
         ("model.likelihood_power=0.5", 5),
         ("scenario.amplitudes=constant_modulus", 5),
         ("tracker.power_max=5", 5),
@@ -73,7 +73,7 @@ def test_mismatch_changes_the_data(launch, key):
         "calibration=none",
         "tracker.particles=50",
         "tracker.births=2",
-        "tracker.rounds=1",
+        "tracker.proposal.rounds=1",
     )
     matched = launch(*small, small=False)
     outcome = launch(*small, f"scenario.mismatch.{key}", small=False)

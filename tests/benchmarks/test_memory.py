@@ -7,6 +7,7 @@ from oracles.scripts import SMALL
 
 from benchmarks import memory
 from torchdt.data.recording import validate
+from torchdt.filter.proposal.adapted import Adapted
 
 
 def test_the_memory_of_a_run_is_that_of_a_fresh_process():
@@ -23,7 +24,7 @@ def test_a_run_that_fails_is_an_error():
 
 
 def test_growth_is_between_a_tenth_and_all_of_the_steps():
-    tracker = make_tracker(particles=20, rounds=1, round_size=16)
+    tracker = make_tracker(particles=20, proposal=Adapted(rounds=1, round_size=16))
     prepared = tracker.prepare(validate(snapshots=simulate(0, steps=2)[0], step_s=1.0))
     rows = memory.measure_growth(tracker, prepared, 20)
     first, last, growth = (row.value for row in rows)
@@ -34,7 +35,7 @@ def test_growth_is_between_a_tenth_and_all_of_the_steps():
 
 
 def test_what_grows_is_seen():
-    tracker = make_tracker(particles=20, rounds=1, round_size=16)
+    tracker = make_tracker(particles=20, proposal=Adapted(rounds=1, round_size=16))
     prepared = tracker.prepare(validate(snapshots=simulate(0, steps=2)[0], step_s=1.0))
     leak = "        kept = [*globals().get('kept', ()), torch.ones(2**18)]\n        if k + 1 == early:"
     leaking = memory.ONLINE.replace("        if k + 1 == early:", leak)

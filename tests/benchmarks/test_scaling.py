@@ -7,6 +7,7 @@ from oracles.line_array import make_tracker, simulate
 
 from benchmarks import scaling
 from torchdt.data.recording import validate
+from torchdt.filter.proposal.adapted import Adapted
 
 BASE = {"slots": 2, "particles": 20, "tones": 2, "sensors": 5, "snapshots": 3, "batch": 1, "sweeps": 1}
 
@@ -52,7 +53,7 @@ def test_what_is_timed_is_an_update_of_that_size():
 
 
 def test_tracking_is_timed_over_steps():
-    tracker = make_tracker(particles=20, rounds=1, round_size=16)
+    tracker = make_tracker(particles=20, proposal=Adapted(rounds=1, round_size=16))
     snapshots = torch.stack([simulate(0, ((0.0, 0.0), (9.0, 0.0)), steps=4)[0]] * 2)
     recording = validate(snapshots=snapshots, step_s=1.0)
     with mock.patch.object(scaling, "track", wraps=scaling.track) as track:

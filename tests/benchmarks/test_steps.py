@@ -9,6 +9,7 @@ from benchmarks import steps
 from torchdt.core.errors import InputError
 from torchdt.core.random import RandomStreams
 from torchdt.data.recording import validate
+from torchdt.filter.proposal.adapted import Adapted
 
 PATHS = (((0.0, -20.0), (20.0, -20.0)), ((0.0, 30.0), (20.0, 30.0)))
 PARTS = [
@@ -32,7 +33,7 @@ PARTS = [
 
 @pytest.fixture(scope="module")
 def tracker():
-    return make_tracker(particles=50, rounds=2, round_size=32)
+    return make_tracker(particles=50, proposal=Adapted(rounds=2, round_size=32))
 
 
 @pytest.fixture(scope="module")

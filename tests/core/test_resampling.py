@@ -3,14 +3,23 @@ import math
 import pytest
 import torch
 
+from torchdt.core.random import RandomStreams
 from torchdt.core.resampling import (
+    BaseResampler,
+    Multinomial,
+    Resampler,
+    Residual,
+    Systematic,
     invert_cumulative,
     roughen,
     scale_tril,
     stop_gradient_weights,
     systematic_indices,
 )
-from torchdt.core.weights import mean_and_covariance
+from torchdt.core.weights import effective_sample_size, mean_and_covariance
+
+F64 = torch.float64
+RESAMPLERS = pytest.mark.parametrize("kind", [Systematic, Multinomial, Residual])
 
 
 def random_weight(seed: int, *shape: int) -> torch.Tensor:
@@ -177,3 +186,119 @@ def test_factor_of_a_singular_covariance(kind, dtype):
     deviation = covariance.diagonal().sqrt()
     error = (lower @ lower.mT - covariance).abs() / (deviation[:, None] * deviation).clamp_min(1e-30)
     assert error.max() < 1e3 * torch.finfo(dtype).eps
+
+
+def two_sets() -> tuple[torch.Tensor, torch.Tensor]:
+    """Particles `(2, 3, 6, 2)` of two sequences; of each first set one has nearly all the weight."""
+    state = torch.randn(2, 3, 6, 2, generator=torch.Generator().manual_seed(1), dtype=F64)
+    logits = torch.linspace(0, 0.5, 6, dtype=F64).repeat(2, 3, 1)
+    logits[:, 0, 4] += 9.0
+    return state, logits.log_softmax(-1)
+
+
+def resample(resampler: Resampler, state: torch.Tensor, log_weight: torch.Tensor):
+    streams = RandomStreams.from_seeds([1, 2], (2,), F64)
+    found = resampler.resample(state, log_weight, resampler.draw(streams, *state.shape[-3:]))
+    return *found, streams
+
+
+@RESAMPLERS
+def test_only_sets_of_few_effective_particles_are_resampled(kind):
+    state, log_weight = two_sets()
+    found, even, _ = resample(kind(below=0.5, roughening=0.0), state, log_weight)
+    assert torch.equal(found[:, 1:], state[:, 1:])
+    assert torch.equal(even[:, 1:], log_weight[:, 1:])
+    assert (found[:, 0, :, None] == state[:, 0, None]).all(-1).any(-1).all()  # copies of the old ones
+    torch.testing.assert_close(even[:, 0], torch.full((2, 6), -math.log(6), dtype=F64))
+
+
+def test_the_share_of_effective_particles_decides():
+    state, log_weight = two_sets()
+    share = effective_sample_size(log_weight)[0, 1].item() / 6
+    for below, resampled in ((share - 1e-6, False), (share + 1e-6, True)):
+        _, even, _ = resample(Systematic(below=below, roughening=0.0), state, log_weight)
+        assert (even[0, 1] != log_weight[0, 1]).any() == resampled
+
+
+def test_resampled_particles_are_jittered():
+    state, log_weight = two_sets()
+    found, _, _ = resample(Systematic(below=1.0, roughening=0.1), state, log_weight)
+    assert len(found[0, 1].unique(dim=0)) == 6
+    distance = (found[0, 1][:, None] - state[0, 1]).norm(dim=-1)
+    _, covariance = mean_and_covariance(state[0, 1], log_weight[0, 1])
+    assert (distance.amin(-1) > 0).all()
+    assert (distance.amin(-1) < covariance.diagonal().sum().sqrt()).all()
+
+
+@RESAMPLERS
+def test_as_many_numbers_are_drawn_whatever_is_resampled(kind):
+    ends = [resample(kind(below=below), *two_sets())[-1].normal(3) for below in (0.0, 1.0)]
+    assert torch.equal(*ends)
+
+
+@RESAMPLERS
+def test_resampled_weights_keep_the_gradient_of_their_ancestors(kind):
+    """Without jitter the particles tell whose copies they are."""
+    state, log_weight = two_sets()
+    log_weight.requires_grad_()
+    found, even, _ = resample(kind(below=1.0, roughening=0.0), state, log_weight)
+    copies = (found[..., None, :] - state[..., None, :, :]).norm(dim=-1) < 1e-9
+    assert copies.sum(-1).eq(1).all()
+    (slope,) = torch.autograd.grad(even.sum(), log_weight)
+    assert torch.equal(slope, copies.sum(-2).double())
+
+
+def children(resampler: BaseResampler, weight: torch.Tensor, runs: int) -> torch.Tensor:
+    """Numbers of children in independent resamples of the same weights, `(runs, P)`."""
+    rng = torch.Generator().manual_seed(7)
+    num = weight.shape[-1]
+    uniform = torch.rand(runs, resampler.num_uniforms(num), generator=rng, dtype=weight.dtype)
+    return counts(resampler.ancestors(weight.log().expand(runs, -1), uniform), num)
+
+
+@RESAMPLERS
+def test_numbers_of_children_have_the_mean_and_variance_of_their_scheme(kind):
+    """4000 resamples of 30 weights. Means `P w` within 5.4 of their standard errors, normal: a false alarm of
+    1e-5 over all of them. Variances `P w (1 - w)` of multinomial, `R v (1 - v)` of residual resampling, of
+    which R are drawn with weights v, and `f (1 - f)` of systematic, f the fraction of `P w`."""
+    weight, runs = random_weight(2, 30), 4000
+    found = children(kind(), weight, runs).double()
+    fraction = 30 * weight - (30 * weight).floor()
+    drawn = fraction.sum()
+    variance = {
+        Systematic: fraction * (1 - fraction),
+        Multinomial: 30 * weight * (1 - weight),
+        Residual: fraction * (1 - fraction / drawn),
+    }[kind]
+    some = variance > 0.1  # of the others a few thousand resamples say too little
+    assert some.sum() > 10
+    assert ((found.mean(0) - 30 * weight)[some].abs() < 5.4 * (variance[some] / runs).sqrt()).all()
+    # Counts of variance v are Poisson at most: the deviation of their variance is sqrt((1 / v + 2) / runs) of
+    # it, and 0.3 is above five of these.
+    torch.testing.assert_close(found.var(0)[some], variance[some], rtol=0.3, atol=0)
+
+
+def test_residual_resampling_keeps_whole_numbers_of_children():
+    weight = random_weight(1, 50)
+    found = children(Residual(), weight, 200)
+    assert (found >= (50 * weight - 1e-9).floor()).all()
+    assert found.sum(-1).eq(50).all()
+    assert (found > (50 * weight + 1e-9).ceil()).any()  # which systematic resampling would not give
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, F64])
+@pytest.mark.parametrize("number", [3, 7, 100, 1000])
+def test_residual_resampling_of_even_weights_changes_nothing(number, dtype):
+    weight = torch.zeros(number, dtype=dtype).softmax(-1)
+    assert children(Residual(), weight, 5).eq(1).all()
+
+
+@RESAMPLERS
+@pytest.mark.parametrize("particles", [8, 1000])
+def test_none_has_children_without_weight(kind, particles):
+    log_weight = torch.full((particles,), -torch.inf)
+    log_weight[2:-2] = torch.zeros(particles - 4).log_softmax(-1)
+    for level in (0.0, 0.5, 1 - 2**-24):
+        indices = kind().ancestors(log_weight, torch.full((kind().num_uniforms(particles),), level))
+        assert indices.min() >= 2
+        assert indices.max() < particles - 2

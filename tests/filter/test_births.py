@@ -12,9 +12,11 @@ from torch import Tensor
 
 from torchdt.core.random import RandomStreams
 from torchdt.core.weights import normalise
+from torchdt.filter.bp.evidence import SampledEvidence
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.history import TrackHistory
+from torchdt.filter.proposal.adapted import Adapted
 from torchdt.model.measurement import Measurement, from_snapshots
 from torchdt.model.noise.base import Noise
 from torchdt.model.prior import Priors
@@ -42,7 +44,14 @@ def step(measurement: Measurement, cell: float, **config) -> tuple[TrackHistory,
     """
     runs = measurement.num_snapshots.shape[0]
     settings = (
-        SMALL | {"particles": 500, "round_size": 128, "power_points": 24, "evidence_samples": 256} | config
+        SMALL
+        | {
+            "particles": 500,
+            "proposal": Adapted(rounds=4, round_size=128),
+            "power_points": 24,
+            "evidence": SampledEvidence(256),
+        }
+        | config
     )
     region = Region([Coordinate(**(BEARING | {"cell": cell}))], F64)
     tracker = DirectTracker(FIELD, region, 1.0, TrackerConfig(**settings))
@@ -102,7 +111,7 @@ def test_first_covariance_is_that_of_the_error():
     scenes = [measure(rng, bearing) for bearing in truth.tolist()]
     measurement = Measurement(*(torch.stack(parts) for parts in zip(*scenes, strict=True)))
     with torch.no_grad():
-        estimate, _, _ = step(measurement, 0.5, evidence_samples=1, births=1)
+        estimate, _, _ = step(measurement, 0.5, evidence=SampledEvidence(1), births=1)
     seen = estimate.declared[:, 0]
     assert seen.sum() > 0.9 * runs
     error = (estimate.state[:, 0, 0] - truth) / estimate.state_std[:, 0, 0]

@@ -16,6 +16,7 @@ from torchdt.field.base import BaseField
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.history import TrackHistory
+from torchdt.filter.proposal.as_predicted import AsPredicted
 from torchdt.model.measurement import from_snapshots
 from torchdt.model.model import Model
 from torchdt.model.noise.coloured import ColouredNoise
@@ -63,7 +64,7 @@ def track(mapping: Tensor, snapshots: Tensor, model: Model, share: float, config
         ([1, 6], 0.0, {}),
         ([1, 6], 0.1, {}),
         ([1, 6], 0.1, {"schedule": "flooding", "evidence": "gaussian"}),
-        ([1, 6], 0.0, {"proposal": "prior"}),
+        ([1, 6], 0.0, {"proposal": AsPredicted()}),
     ],
 )
 def test_tracks_are_those_of_white_noise_on_whitened_data(missing, share, config):

@@ -7,11 +7,9 @@ import torch
 from oracles.line_array import make_region
 from torch import Tensor
 
-from torchdt.core.random import RandomStreams
-from torchdt.core.weights import effective_sample_size, mean_and_covariance
 from torchdt.filter.bp.schedule import Beliefs, as_belief
 from torchdt.filter.config import TrackerConfig
-from torchdt.filter.declare import conclude, empty_slots, idle_particles, resample
+from torchdt.filter.declare import conclude, empty_slots, idle_particles
 from torchdt.filter.state import Objects, TrackerState
 from torchdt.model.noise.base import Noise
 
@@ -119,74 +117,6 @@ def test_estimates_are_moments_of_the_posterior():
     noise = (beliefs.noise.log_weight.exp() * beliefs.noise.variance).sum(-1)
     torch.testing.assert_close(estimate.noise, noise)
     assert estimate.log_evidence.tolist() == [-7.0, 8.0]
-
-
-def two_sets() -> Objects:
-    """Two sequences of three objects; the first of each has nearly all its weight on particle 4."""
-    objects = make_objects([[0.9, 0.8, 0.7]] * 2, [[1, 2, 3]] * 2, [1.0, 1.0, 1.0])
-    logits = torch.linspace(0, 0.5, PARTICLES, dtype=F64).repeat(2, 3, 1)
-    logits[:, 0, 4] += 9.0
-    return objects._replace(log_weight=logits.log_softmax(-1))
-
-
-def streams() -> RandomStreams:
-    return RandomStreams.from_seeds([1, 2], (2,), F64)
-
-
-def test_only_sets_of_few_effective_particles_are_resampled():
-    config = TrackerConfig(slots=3, particles=PARTICLES, resample_below=0.5, roughening=0.0)
-    objects = two_sets()
-    found = resample(objects, config, streams())
-    assert torch.equal(found.state[:, 1:], objects.state[:, 1:])
-    assert torch.equal(found.log_weight[:, 1:], objects.log_weight[:, 1:])
-    for b in range(2):
-        torch.testing.assert_close(found.state[b, 0], objects.state[b, 0, 4].expand(PARTICLES, 2))
-    torch.testing.assert_close(
-        found.log_weight[:, 0], torch.full((2, PARTICLES), -math.log(PARTICLES), dtype=F64)
-    )
-    for name in ("power", "log_power_weight", "log_odds", "label"):
-        assert getattr(found, name) is getattr(objects, name)
-
-
-def test_the_share_of_effective_particles_decides():
-    objects = two_sets()
-    share = effective_sample_size(objects.log_weight)[0, 1].item() / PARTICLES
-    for below, resampled in ((share - 1e-6, False), (share + 1e-6, True)):
-        config = TrackerConfig(slots=3, particles=PARTICLES, resample_below=below, roughening=0.0)
-        found = resample(objects, config, streams())
-        assert (found.log_weight[0, 1] != objects.log_weight[0, 1]).any() == resampled
-
-
-def test_resampled_particles_are_jittered():
-    config = TrackerConfig(slots=3, particles=PARTICLES, resample_below=1.0, roughening=0.1)
-    objects = two_sets()
-    found = resample(objects, config, streams())
-    assert len(found.state[0, 1].unique(dim=0)) == PARTICLES
-    distance = (found.state[0, 1][:, None] - objects.state[0, 1]).norm(dim=-1)
-    _, covariance = mean_and_covariance(objects.state[0, 1], objects.log_weight[0, 1])
-    assert (distance.amin(-1) > 0).all()
-    assert (distance.amin(-1) < covariance.diagonal().sum().sqrt()).all()
-
-
-def test_as_many_numbers_are_drawn_whatever_is_resampled():
-    ends = []
-    for below in (0.0, 1.0):
-        used = streams()
-        resample(two_sets(), TrackerConfig(slots=3, particles=PARTICLES, resample_below=below), used)
-        ends.append(used.normal(3))
-    assert torch.equal(*ends)
-
-
-def test_resampled_weights_keep_the_gradient_of_their_ancestors():
-    """Without jitter the particles tell whose copies they are."""
-    config = TrackerConfig(slots=3, particles=PARTICLES, resample_below=1.0, roughening=0.0)
-    objects = two_sets()
-    log_weight = objects.log_weight.clone().requires_grad_()
-    found = resample(objects._replace(log_weight=log_weight), config, streams())
-    copies = (found.state[..., None, :] - objects.state[..., None, :, :]).norm(dim=-1) < 1e-9
-    assert copies.sum(-1).eq(1).all()
-    (slope,) = torch.autograd.grad(found.log_weight.sum(), log_weight)
-    assert torch.equal(slope, copies.sum(-2).double())
 
 
 def test_empty_slots_get_idle_particles_of_even_weight():

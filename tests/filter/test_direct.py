@@ -9,8 +9,10 @@ from oracles.line_array import FREQS, POSITIONS, make_tracker, simulate
 from torchdt.core.random import RandomStreams
 from torchdt.field.plane_wave import LineArrayField
 from torchdt.field.stacked import StackedField
+from torchdt.filter.bp.schedule import Flooding, Sequential
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.history import TrackHistory
+from torchdt.filter.proposal.as_predicted import AsPredicted
 from torchdt.model.measurement import from_snapshots
 from torchdt.model.prior import data_priors
 
@@ -66,14 +68,14 @@ def mixed() -> torch.Tensor:
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("schedule", ["sequential", "flooding"])
+@pytest.mark.parametrize("schedule", [Sequential(), Flooding()])
 def test_two_sources_are_found_and_keep_their_labels(dtype, schedule):
     seeds = [1, 2, 3]
     data, truth = zip(*(simulate(s, *TWO) for s in seeds), strict=True)
     history = run(torch.stack(data), seeds, dtype, schedule=schedule)
     assert_sound(history)
     assert history.state.dtype == dtype
-    start = 2 if schedule == "sequential" else 5  # flooding takes longer to part two sources
+    start = 2 if schedule == Sequential() else 5  # flooding takes longer to part two sources
     for b in range(len(seeds)):
         for source in range(2):
             seen = [labels_near(history, b, k, truth[b][k, source, 0].item()) for k in range(start, 20)]
@@ -88,7 +90,7 @@ def test_two_sources_are_found_and_keep_their_labels(dtype, schedule):
 def test_particles_drawn_from_the_prior_find_the_sources_too():
     """The paper's proposals need more particles, and find a source within some steps."""
     data, truth = simulate(1, *TWO)
-    history = run(data[None], [1], proposal="prior", particles=1000)
+    history = run(data[None], [1], proposal=AsPredicted(), particles=1000)
     assert_sound(history)
     for source in range(2):
         assert labels_near(history, 0, 19, truth[19, source, 0].item(), within=4.0)

@@ -12,13 +12,16 @@ from torchdt.core.errors import InputError
 from torchdt.core.random import RandomStreams
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.likelihood import log_likelihood
+from torchdt.filter.proposal.adapted import Adapted
+from torchdt.filter.proposal.as_predicted import AsPredicted
 from torchdt.filter.state import TrackerState
 from torchdt.model.measurement import Measurement, from_snapshots
 from torchdt.model.model import stack_models
+from torchdt.model.motion.driving import Reparameterised, Score
 from torchdt.model.prior import data_priors
 
 F64 = torch.float64
-MODES = pytest.mark.parametrize("gradient", ["score", "reparameterised"])
+MODES = pytest.mark.parametrize("gradient", [Score(), Reparameterised()])
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +30,8 @@ def measurement() -> Measurement:
 
 
 def small(dtype: torch.dtype = F64, **config) -> DirectTracker:
-    tracker = make_tracker(dtype, **({"particles": 50, "round_size": 32} | config))
+    few = {"particles": 50, "proposal": Adapted(rounds=4, round_size=32)}
+    tracker = make_tracker(dtype, **(few | config))
     return tracker.with_model(model(dtype))
 
 
@@ -203,7 +207,7 @@ def test_a_padded_tail_changes_nothing(block):
     assert_same((value[:1, :5], {name: slope[0] for name, slope in slopes.items()}), short, rel=1e-6)
 
 
-@pytest.mark.parametrize("proposal", ["adapted", "prior"])
+@pytest.mark.parametrize("proposal", [Adapted(rounds=4, round_size=32), AsPredicted()])
 @MODES
 def test_single_precision(gradient, proposal):
     measurement = from_snapshots(snapshots().to(torch.complex64))

@@ -10,16 +10,21 @@ from oracles.likelihood import differentiate, evaluate, frozen_proposals, measur
 from oracles.line_array import FREQS, POSITIONS, make_region, make_tracker, simulate
 from torch import Tensor
 
+from torchdt.core.resampling import Systematic
 from torchdt.field.plane_wave import LineArrayField
+from torchdt.filter.bp.evidence import GaussianEvidence, SampledEvidence
 from torchdt.filter.direct import DirectTracker
+from torchdt.filter.proposal.adapted import Adapted
+from torchdt.filter.proposal.as_predicted import AsPredicted
 from torchdt.model.measurement import Measurement, from_snapshots
 from torchdt.model.model import stack_models
+from torchdt.model.motion.driving import Reparameterised, Score
 
 F64 = torch.float64
-SMALL = {"particles": 40, "resample_below": 0.0}
-PROPOSALS = pytest.mark.parametrize("proposal", ["adapted", "prior"])
-EVIDENCES = pytest.mark.parametrize("evidence", ["sampled", "gaussian"])
-MODES = pytest.mark.parametrize("gradient", ["score", "reparameterised"])
+SMALL = {"particles": 40, "resampler": Systematic(below=0.0)}
+PROPOSALS = pytest.mark.parametrize("proposal", [Adapted(rounds=4, round_size=64), AsPredicted()])
+EVIDENCES = pytest.mark.parametrize("evidence", [SampledEvidence(), GaussianEvidence()])
+MODES = pytest.mark.parametrize("gradient", [Score(), Reparameterised()])
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +53,7 @@ def test_gradient_in_the_parameters_equals_finite_differences(measurement, propo
             return evaluate(tracker.with_model(model(**{name: at})), measurement).sum().item()
 
         for name, start in model().known().items():
-            if gradient == "score" and name == "driving_variance":
+            if gradient == Score() and name == "driving_variance":
                 continue
             slope = central_difference(partial(value, name), start)
             assert found[name].sum().item() == pytest.approx(slope, rel=1e-5, abs=1e-6), name
@@ -91,11 +96,11 @@ def test_both_gradients_of_the_motion_agree_in_expectation():
     runs = 24
     turning = (((0.0, -30.0), (2.0, -33.0), (5.0, -20.0)), ((0.0, 30.0), (3.0, 25.0), (6.0, 33.0)))
     data = from_snapshots(simulate(1, *turning, steps=6)[0].expand(runs, -1, -1, -1, -1))
-    each = stack_models([model()], runs)
+    each, evidence = stack_models([model()], runs), SampledEvidence(256)
     value, slopes = zip(
         *(
-            differentiate(make_tracker(gradient=gradient, evidence_samples=256), data, each, range(runs))
-            for gradient in ("score", "reparameterised")
+            differentiate(make_tracker(gradient=gradient, evidence=evidence), data, each, range(runs))
+            for gradient in (Score(), Reparameterised())
         ),
         strict=True,
     )

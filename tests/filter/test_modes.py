@@ -14,12 +14,15 @@ from torch import Tensor
 from torchdt.core.random import RandomStreams
 from torchdt.core.weights import normalise
 from torchdt.field.plane_wave import LineArrayField
+from torchdt.filter.bp.evidence import SampledEvidence
 from torchdt.filter.bp.messages import state_message
 from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.direct import DirectTracker
+from torchdt.filter.proposal.adapted import Adapted
 from torchdt.filter.proposal.moved import respond
 from torchdt.filter.state import TrackerState
 from torchdt.model.measurement import Measurement, from_snapshots, mask_covariance
+from torchdt.model.motion.driving import Reparameterised, Score
 from torchdt.model.prior import Priors
 from torchdt.model.region import Coordinate, Region
 
@@ -30,7 +33,7 @@ SETTINGS = {
     "power_shape": 1e8,
     "noise_shape": 1e8,
     "birth_mean": 1e-15,
-    "evidence_samples": 256,
+    "evidence": SampledEvidence(256),
     "prune": 1e-9,
 }
 
@@ -105,7 +108,7 @@ def test_modes_stay_without_data(modes, shares):
 
 def test_one_gaussian_is_an_assumed_density():
     """Of modes at +-20 it leaves 0.18 within 3 of them, the mass of a deviation of 20."""
-    tracker = make_tracker(**SETTINGS, mixture_components=1)
+    tracker = make_tracker(**SETTINGS, proposal=Adapted(1, 4, 64))
     (state, *_), _ = run(tracker, started(tracker, [-20.0, 20.0], [0.5, 0.5], 0.5), NO_DATA.at(slice(1)))
     normal = torch.distributions.Normal(0.0, 20.0)
     expected = 2 * (normal.cdf(torch.tensor(23.0)) - normal.cdf(torch.tensor(17.0)))
@@ -191,7 +194,7 @@ NUMBERS = {
 }
 
 
-@pytest.mark.parametrize("gradient", ["score", "reparameterised"])
+@pytest.mark.parametrize("gradient", [Score(), Reparameterised()])
 def test_gradient_of_two_modes_equals_finite_differences(gradient):
     """Through shares, means and covariances of the modes; proposals stand still. Relative error 1e-5."""
     tracker, data = mirrored(gradient=gradient, particles=60), recording()
@@ -204,7 +207,7 @@ def test_gradient_of_two_modes_equals_finite_differences(gradient):
     with frozen_proposals() as tapes:
         slopes = torch.autograd.grad(value(leaves), list(leaves.values()))
         for (name, at), slope in zip(NUMBERS.items(), slopes, strict=True):
-            if gradient == "score" and name == "driving_variance":
+            if gradient == Score() and name == "driving_variance":
                 continue  # moves particles, which is no part of it
             ends = []
             for step in (1e-5, -1e-5):

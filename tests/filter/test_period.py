@@ -11,6 +11,8 @@ from torchdt.field import PlaneWaveField
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.history import TrackHistory
+from torchdt.filter.proposal.adapted import Adapted
+from torchdt.filter.proposal.as_predicted import AsPredicted
 from torchdt.filter.tracker import Tracker
 from torchdt.model.measurement import from_snapshots
 from torchdt.model.prior import Priors
@@ -22,8 +24,8 @@ PLACES = torch.tensor(
 )
 TWO_STEP = {"slots": 3, "particles": 100, "birth_mean": 0.3, "clutter_mean": 0.3, "survival": 0.99}
 TRACKERS = {
-    "adapted": TrackerConfig(slots=3, particles=60, births=2, rounds=3, round_size=40),
-    "prior": TrackerConfig(slots=3, particles=400, births=2, round_size=40, proposal="prior"),
+    "adapted": TrackerConfig(slots=3, particles=60, births=2, proposal=Adapted(rounds=3, round_size=40)),
+    "prior": TrackerConfig(slots=3, particles=400, births=2, proposal=AsPredicted()),
     "pursuit": TwoStepConfig(**TWO_STEP, detector=PursuitConfig(points=3)),
     "sbl": TwoStepConfig(**TWO_STEP, detector=SblConfig(points=3, sources=2, max_iterations=20)),
 }

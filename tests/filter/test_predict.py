@@ -5,6 +5,7 @@ from oracles.line_array import make_region, make_tracker
 
 from torchdt.filter.bp.schedule import Beliefs
 from torchdt.filter.predict import exchangeable, predict
+from torchdt.model.motion.driving import Score
 from torchdt.model.prior import Priors
 from torchdt.model.region import Coordinate, Region
 
@@ -24,7 +25,7 @@ def predicted(bearings: list[float], deviation: float, log_odds: list[float], en
     objects = state.objects._replace(state=noise, log_odds=torch.tensor(log_odds, dtype=F64))
     draws = torch.zeros(len(bearings), 400, 1, dtype=F64)
     before = state._replace(objects=objects)
-    return predict(tracker.field, tracker.region, tracker.model, 1.0, before, draws, "score", 4, enough)
+    return predict(tracker.field, tracker.region, tracker.model, 1.0, before, draws, Score(), 4, enough)
 
 
 def test_objects_whose_predictions_overlap_may_change_places():

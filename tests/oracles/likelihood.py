@@ -8,8 +8,9 @@ import torch
 from oracles.line_array import simulate
 from torch import Tensor
 
-import torchdt.filter.direct
+import torchdt.filter.bp.evidence
 import torchdt.filter.placement
+import torchdt.filter.proposal.adapted
 import torchdt.filter.proposal.moved
 import torchdt.filter.proposal.newborn
 from torchdt.core.random import RandomStreams
@@ -99,9 +100,9 @@ def frozen_proposals() -> Iterator[list[Tape]]:
         tapes = []
         for module, name in (
             (torchdt.filter.proposal.moved, "draw_adapted"),
-            (torchdt.filter.proposal.newborn, "adapt"),
+            (torchdt.filter.proposal.adapted, "adapt"),
             (torchdt.filter.placement, "search"),
-            (torchdt.filter.direct, "draw_configurations"),
+            (torchdt.filter.bp.evidence, "draw_configurations"),
         ):
             tapes.append(Tape(getattr(module, name)))
             stack.enter_context(mock.patch.object(module, name, tapes[-1]))

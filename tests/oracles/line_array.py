@@ -6,6 +6,7 @@ from torch import Tensor
 from torchdt.field.plane_wave import LineArrayField
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
+from torchdt.filter.proposal.adapted import Adapted
 from torchdt.model.model import Model
 from torchdt.model.region import Coordinate, Region
 from torchdt.simulation.settings import CoordinateSettings, PathSettings, ScenarioSettings, SourceSettings
@@ -28,8 +29,7 @@ SMALL = {
     "power_points": 10,
     "noise_points": 24,
     "births": 4,
-    "rounds": 4,
-    "round_size": 64,
+    "proposal": Adapted(rounds=4, round_size=64),
 }
 SMALL_PAPER = {
     "slots": 4,

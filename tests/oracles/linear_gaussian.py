@@ -12,7 +12,7 @@ from torch import Generator, Tensor
 
 from torchdt.core.resampling import systematic_indices
 from torchdt.core.weights import normalise
-from torchdt.model.motion.driving import drive
+from torchdt.model.motion.driving import Gradient, drive
 
 PHI = 0.9
 
@@ -75,7 +75,7 @@ def filter_log_likelihood(
     log_r: Tensor,
     particles: int,
     rng: Generator,
-    gradient: str,
+    gradient: Gradient,
     after_resampling: Callable[[Tensor, Tensor], Tensor] | None,
 ) -> Tensor:
     """Estimates of the log-likelihood by independent particle filters, `(B,)`.
@@ -85,7 +85,7 @@ def filter_log_likelihood(
         log_q, log_r: `(B,)`, those of each filter.
         particles: P of each filter.
         rng: of all draws.
-        gradient: of the driving noise, see `torchdt.model.motion.driving.drive`.
+        gradient: of the driving noise.
         after_resampling: log-weights `(B, P)` from those before and from the ancestors; with None there is
             no resampling.
     """

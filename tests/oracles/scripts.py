@@ -23,8 +23,8 @@ SMALL = (
     "tracker.slots=4",
     "tracker.births=4",
     "tracker.particles=100",
-    "tracker.rounds=2",
-    "tracker.round_size=32",
+    "tracker.proposal.rounds=2",
+    "tracker.proposal.round_size=32",
 )
 
 

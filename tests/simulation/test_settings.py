@@ -225,7 +225,7 @@ def test_whether_environments_match(settings, matched):
     assert MismatchSettings(**settings).matched == matched
 
 
-COUNTS = ("slots", "particles", "power_points", "noise_points", "births", "sweeps", "rounds", "round_size")
+COUNTS = ("slots", "particles", "power_points", "noise_points", "births", "sweeps")
 
 
 @pytest.mark.parametrize(
@@ -234,9 +234,6 @@ COUNTS = ("slots", "particles", "power_points", "noise_points", "births", "sweep
         *((name, 0, "a positive integer") for name in COUNTS),
         *((name, 0.0, "a positive number or null") for name in ("power_max", "noise_max")),
         *((name, 1.0, "a probability strictly between 0 and 1") for name in ("declare", "prune")),
-        *((name, 1.5, "a number from 0 to 1") for name in ("roughening", "resample_below")),
-        ("schedule", "random", "sequential or flooding"),
-        ("proposal", "random", "adapted or prior"),
     ],
 )
 def test_tracker(name, value, expected):

@@ -186,10 +186,11 @@ def build_tracker(
     if field is None:
         field = build_tracking_field(settings, recording)
     region, model = build_region(settings, settings.torch_dtype), settings.statistical_model
-    if isinstance(settings.tracker, TwoStepConfig):
-        return TwoStepTracker(field, region, recording.step_s, settings.tracker, model.motion)
-    if isinstance(settings.tracker, PaperConfig):
-        return PaperTracker(field, region, recording.step_s, settings.tracker, model)
+    config = settings.built_tracker
+    if isinstance(config, TwoStepConfig):
+        return TwoStepTracker(field, region, recording.step_s, config, model.motion)
+    if isinstance(config, PaperConfig):
+        return PaperTracker(field, region, recording.step_s, config, model)
     config, expected = settings.direct, "null, or calibration=none: that estimates the share"
     share = config.mismatch_share
     require(share is None or not settings.calibration.enabled, "tracker.mismatch_share", share, expected)

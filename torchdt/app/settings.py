@@ -10,7 +10,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from torchdt.app.data_settings import DataSettings, SignalSettings
-from torchdt.app.targets import build_model
+from torchdt.app.targets import build_config, build_model, without_parts
 from torchdt.baselines.detect.config import PursuitConfig, SblConfig
 from torchdt.baselines.two_step import TwoStepConfig
 from torchdt.calibration.environment import CalibrationConfig
@@ -73,7 +73,7 @@ class TrackSettings(Checked):
     field: Any = None
     calibration: CalibrationConfig = dataclasses.field(default_factory=CalibrationConfig)
     model: Any = dataclasses.field(default_factory=dict)
-    tracker: ObjectConfig = dataclasses.field(default_factory=ObjectConfig)
+    tracker: ObjectConfig = dataclasses.field(default_factory=lambda: without_parts(ObjectConfig()))
     data: DataSettings = dataclasses.field(default_factory=DataSettings)
     logging: LoggingSettings = dataclasses.field(default_factory=LoggingSettings)
     seed: Seed = 0
@@ -90,6 +90,7 @@ class TrackSettings(Checked):
         super().__post_init__()
         require(_usable(self.device), "device", self.device, "a device that PyTorch can use here")
         self.variant_models()
+        _ = self.built_tracker
 
     @property
     def torch_dtype(self) -> torch.dtype:
@@ -104,6 +105,15 @@ class TrackSettings(Checked):
             InputError: where a part or a number does not make sense.
         """
         return build_model(self.model)
+
+    @functools.cached_property
+    def built_tracker(self) -> ObjectConfig:
+        """The tracker's settings with its parts as objects.
+
+        Raises:
+            InputError: where a part does not make sense.
+        """
+        return build_config(self.tracker)
 
     def variant_models(self) -> list[Model]:
         """The model of each of the variants; none where there are no variants.
@@ -124,9 +134,9 @@ class TrackSettings(Checked):
         Raises:
             InputError: where they are those of another tracker.
         """
-        if not isinstance(self.tracker, TrackerConfig):
+        if not isinstance(self.built_tracker, TrackerConfig):
             raise InputError.of_key("tracker", type(self.tracker).__name__, "settings of direct tracking")
-        return self.tracker
+        return self.built_tracker
 
 
 def _usable(device: str) -> bool:
@@ -163,7 +173,7 @@ def _refuse_unknown(config: DictConfig, prefix: str) -> None:
 _store = ConfigStore.instance()
 _store.store(name="track_schema", node=TrackSettings)
 _store.store(name="signal_schema", node=SignalSettings)
-_store.store(name="direct_schema", node=TrackerConfig)
-_store.store(name="direct_paper_schema", node=PaperConfig)
-_store.store(name="mp_bp_schema", node=TwoStepConfig(detector=PursuitConfig()))
-_store.store(name="sbl_bp_schema", node=TwoStepConfig(detector=SblConfig()))
+_store.store(name="direct_schema", node=without_parts(TrackerConfig()))
+_store.store(name="direct_paper_schema", node=without_parts(PaperConfig()))
+_store.store(name="mp_bp_schema", node=without_parts(TwoStepConfig(detector=PursuitConfig())))
+_store.store(name="sbl_bp_schema", node=without_parts(TwoStepConfig(detector=SblConfig())))

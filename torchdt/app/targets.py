@@ -1,13 +1,15 @@
 """Objects from settings that name their class: the field, and the parts of the model."""
 
+import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from hydra.utils import instantiate
 
 from torchdt.core.errors import InputError, require
 from torchdt.field.base import BaseField, Field, as_field
+from torchdt.filter.config import PARTS, ObjectConfig
 from torchdt.model.birth import Birth
 from torchdt.model.model import Model
 from torchdt.model.motion.base import Motion
@@ -15,6 +17,8 @@ from torchdt.model.noise.base import NoiseModel
 from torchdt.model.power.base import PowerModel
 
 PROTOCOLS = {"motion": Motion, "power": PowerModel, "noise": NoiseModel, "birth": Birth}
+
+Config = TypeVar("Config", bound=ObjectConfig)
 
 
 def build_field(target: dict[str, Any], dtype: torch.dtype, device: str, **overrides: object) -> BaseField:
@@ -39,6 +43,26 @@ def build_model(settings: Mapping[str, Any]) -> Model:
     return Model(**{**settings, **parts})
 
 
+def build_config(settings: Config) -> Config:
+    """Settings of a tracker, with its parts instantiated from their configuration groups.
+
+    Raises:
+        InputError: where a part is not one, see `build`.
+    """
+    parts = {name: getattr(settings, name) for name in settings.part_names()}
+    built = {
+        name: part if isinstance(part, PARTS[name]) else build(f"tracker.{name}", part, PARTS[name])
+        for name, part in parts.items()
+    }
+    return dataclasses.replace(settings, **built)
+
+
+def without_parts(settings: Config) -> Config:
+    """Settings whose parts are None, for configuration groups to fill in."""
+    nothing: dict[str, Any] = dict.fromkeys(settings.part_names())
+    return dataclasses.replace(settings, **nothing)
+
+
 def build(key: str, target: Any, kind: Any, **overrides: object) -> Any:
     """Instantiate one object. The one function that is called is that of its own `_target_`.
 
@@ -52,8 +76,9 @@ def build(key: str, target: Any, kind: Any, **overrides: object) -> Any:
         InputError: where the target does not exist, does not take these arguments or makes something else, or
             where there is another `_target_` among the arguments.
     """
-    found = isinstance(target, Mapping) and "_target_" in target
-    require(found, f"{key}._target_", "nothing", "the name of a class")
+    if not isinstance(target, Mapping):
+        raise InputError.of_key(key, target, f"a choice of the group {key.replace('.', '/')}")
+    require("_target_" in target, f"{key}._target_", "nothing", "the name of a class")
     for name, value in target.items():
         _refuse_targets(key, f"{key}.{name}", value)
     try:

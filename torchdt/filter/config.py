@@ -1,25 +1,38 @@
 """Settings of the trackers, checked once when they are made."""
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from torch import Tensor
 
+from torchdt.core.errors import InputError
 from torchdt.core.ranges import (
     Checked,
     Count,
     InnerProbability,
-    OneOf,
     Passes,
     Power,
-    Share,
 )
-from torchdt.model.motion.driving import GRADIENTS
+from torchdt.core.resampling import Resampler, Systematic
+from torchdt.filter.bp.evidence import Evidence, SampledEvidence
+from torchdt.filter.bp.schedule import Schedule, Sequential
+from torchdt.filter.proposal.adapted import Adapted
+from torchdt.filter.proposal.base import Proposal
+from torchdt.model.motion.driving import Gradient, Score
 
-SCHEDULES = ("sequential", "flooding")
-PROPOSALS = ("adapted", "prior")
-EVIDENCES = ("sampled", "gaussian")
+PARTS: Mapping[str, Any] = {
+    "resampler": Resampler,
+    "schedule": Schedule,
+    "proposal": Proposal,
+    "evidence": Evidence,
+    "gradient": Gradient,
+}
+"""Settings that are objects, and the protocol of each."""
+
+if not TYPE_CHECKING:  # configurations have no protocols
+    Evidence = Gradient = Proposal = Resampler = Schedule = Any
 
 
 @dataclass
@@ -31,8 +44,7 @@ class ObjectConfig(Checked):
         particles: number P of state particles of each object.
         declare: T_dec, existence probability above which an object is reported.
         prune: T_pru, existence probability below which an object is dropped.
-        roughening: kernel width after resampling, in standard deviations of the particle set.
-        resample_below: resample where the effective sample size is below this share of the particles.
+        resampler: of particles as predicted; those drawn around the data need none.
     """
 
     KEY: ClassVar[str] = "tracker"
@@ -41,8 +53,23 @@ class ObjectConfig(Checked):
     particles: Count = 1000
     declare: InnerProbability = 0.5
     prune: InnerProbability = 1e-2
-    roughening: Share = 0.1
-    resample_below: Share = 0.5
+    resampler: Resampler = field(default_factory=Systematic)
+
+    def part_names(self) -> list[str]:
+        """Names of the settings that are objects."""
+        return [f.name for f in fields(self) if f.name in PARTS]
+
+    def check_parts(self) -> None:
+        """See that the parts are objects of their kind, as a tracker needs them.
+
+        Raises:
+            InputError: naming the first that is not.
+        """
+        for name in self.part_names():
+            part, kind = getattr(self, name), PARTS[name]
+            if not isinstance(part, kind):
+                expected = f"an object that follows {kind.__module__}.{kind.__name__}"
+                raise InputError.of_key(f"{self.KEY}.{name}", part, expected)
 
 
 @dataclass
@@ -54,19 +81,12 @@ class TrackerConfig(ObjectConfig):
         noise_points: number E of support points of each tone's noise variance.
         births: number of cells in which new objects are considered per step, at most.
         sweeps: BP passes over all objects per step.
-        schedule: `sequential` (strongest first) or `flooding`.
-        proposal: `adapted` to the likelihood, or `prior`: particles as predicted, new ones uniform in a cell.
-            Adapted proposals draw new particles in every step and need neither resampling nor roughening.
-        mixture_components: Gaussians, at most, by which an adapted proposal predicts an object: one for each
-            cluster of its particles. 1: one of the mean and covariance of them all, an assumed density.
-        rounds: rounds of fitting a proposal, at most.
-        round_size: sample size of each round.
+        schedule: order of the messages.
+        proposal: where particles are: drawn anew around the data, or as predicted.
         mismatch_share: share of each tone's energy that responses do not cover, where the field knows how its
             response scatters; None leaves it to the calibration.
-        evidence: log p(z_k | z_1..k-1) by importance sampling (`sampled`), or `gaussian`: cheap and crude.
-        evidence_samples: joint configurations drawn for the sampled evidence.
-        gradient: of the likelihood through motion: `score` (particles stay, weights move with the parameters)
-            or `reparameterised` (particles move).
+        evidence: how log p(z_k | z_1..k-1) is estimated.
+        gradient: of the likelihood through motion: particles stay and weights move, or particles move.
         power_max: upper limit of the uniform power prior in squared data units; None takes it from the data.
         noise_max: upper limit of the uniform noise prior in squared data units; None takes it from the data.
     """
@@ -75,15 +95,11 @@ class TrackerConfig(ObjectConfig):
     noise_points: Count = 64
     births: Count = 10
     sweeps: Passes = 2
-    schedule: Annotated[str, OneOf(SCHEDULES)] = "sequential"
-    proposal: Annotated[str, OneOf(PROPOSALS)] = "adapted"
-    mixture_components: Count = 4
-    rounds: Passes = 6
-    round_size: Count = 128
+    schedule: Schedule = field(default_factory=Sequential)
+    proposal: Proposal = field(default_factory=Adapted)
     mismatch_share: list[InnerProbability] | None = None
-    evidence: Annotated[str, OneOf(EVIDENCES)] = "sampled"
-    evidence_samples: Count = 64
-    gradient: Annotated[str, OneOf(GRADIENTS)] = "score"
+    evidence: Evidence = field(default_factory=SampledEvidence)
+    gradient: Gradient = field(default_factory=Score)
     power_max: Power | None = None
     noise_max: Power | None = None
 

@@ -1,10 +1,8 @@
-"""The end of a step: prune, label, estimate, resample."""
+"""The end of a step: prune, label, estimate."""
 
 import torch
 from torch import Tensor
 
-from torchdt.core.random import RandomStreams
-from torchdt.core.resampling import roughen, stop_gradient_weights, systematic_indices
 from torchdt.core.weights import effective_sample_size, standard_deviation, weighted_mean
 from torchdt.filter.bp.schedule import Beliefs
 from torchdt.filter.config import ObjectConfig, TrackerConfig
@@ -117,41 +115,6 @@ def declare(
     fresh = declared & (label == 0)
     label = torch.where(fresh, next_label[..., None] + fresh.cumsum(-1) - 1, label)
     return declared, torch.where(log_odds.isneginf(), 0, label), next_label + fresh.sum(-1)
-
-
-def resample(objects: Objects, config: TrackerConfig, streams: RandomStreams) -> Objects:
-    """Equal weights where too few particles carry them.
-
-    The weights keep their gradient, see `stop_gradient_weights`.
-    """
-    offset = streams.uniform(config.slots)
-    draws = streams.normal(*objects.state.shape[-3:])
-    state, log_weight = resample_particles(objects.state, objects.log_weight, offset, draws, config)
-    return objects._replace(state=state, log_weight=log_weight)
-
-
-def resample_particles(
-    state: Tensor, log_weight: Tensor, offset: Tensor, draws: Tensor, config: ObjectConfig
-) -> tuple[Tensor, Tensor]:
-    """Resample and roughen the particle sets of low effective sample size; the others stay as they are.
-
-    Args:
-        state: `(*batch, P, D)`.
-        log_weight: `(*batch, P)` normalised.
-        offset: `(*batch,)` uniform draws on [0, 1).
-        draws: `(*batch, P, D)` standard normal.
-        config: numbers of the filter.
-
-    Returns:
-        Particles and log-weights.
-    """
-    poor = effective_sample_size(log_weight) < config.resample_below * config.particles
-    old, old_weight = state[poor], log_weight[poor]
-    ancestors = systematic_indices(old_weight, offset[poor])
-    even = stop_gradient_weights(old_weight, ancestors)
-    particles = old.gather(-2, ancestors[..., None].expand_as(old))
-    particles = roughen(particles, even.detach(), draws[poor], config.roughening)
-    return state.index_put((poor,), particles), log_weight.index_put((poor,), even)
 
 
 def empty_slots(objects: Objects, idle: Tensor) -> Objects:

@@ -2,11 +2,10 @@
 
 import copy
 import math
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
 from torchdt.core.random import RandomStreams
 from torchdt.data.prepare import Prepared, check_step, prepare, require_step
@@ -14,14 +13,12 @@ from torchdt.data.recording import Recording
 from torchdt.field.base import BaseField, Field, of_each, repeat_field
 from torchdt.field.mismatch import with_share
 from torchdt.field.wrapped import CompletedField
-from torchdt.filter.bp.configurations import UniformDraws, draw_configurations, labellings
-from torchdt.filter.bp.evidence import gaussian_evidence, sampled_evidence
 from torchdt.filter.bp.schedule import Beliefs, update
 from torchdt.filter.config import TrackerConfig
-from torchdt.filter.declare import conclude, empty_slots, idle_particles, resample
+from torchdt.filter.declare import conclude, empty_slots, idle_particles
 from torchdt.filter.history import TrackHistory
 from torchdt.filter.placement import Placer
-from torchdt.filter.predict import Predicted, exchangeable, predict
+from torchdt.filter.predict import Predicted, predict
 from torchdt.filter.proposal.moved import Draws
 from torchdt.filter.slots import Placed
 from torchdt.filter.state import Objects, TrackerState
@@ -45,14 +42,14 @@ class StepDraws(NamedTuple):
         driving: `(*batch, N, P, num_driving)` standard normal, of the motion.
         known, newborn: of the proposals for known and new objects.
         picks: `(*batch, Q, rounds, S, d)` standard normal, for refining picks.
-        evidence: of the sampled evidence.
+        evidence: of its estimate.
     """
 
     driving: Tensor
     known: Draws
     newborn: Draws
     picks: Tensor
-    evidence: UniformDraws
+    evidence: Any
 
 
 class DirectTracker(Tracker[TrackerState]):
@@ -88,6 +85,7 @@ class DirectTracker(Tracker[TrackerState]):
         config: TrackerConfig,
         model: Model | None = None,
     ):
+        config.check_parts()
         model = Model() if model is None else model
         self.region, self.step_s, self.config = (
             region.within(field, model.motion),
@@ -199,30 +197,28 @@ class DirectTracker(Tracker[TrackerState]):
         objects, next_label, estimate = conclude(
             current.objects, beliefs, state, log_evidence, self.region, cfg
         )
-        if cfg.proposal == "prior":
-            objects = resample(objects, cfg, streams)
+        objects = cfg.proposal.conclude(objects, cfg.resampler, streams)
         noise = model.noise.predict(state.noise._replace(log_weight=beliefs.noise.log_weight))
         return TrackerState(empty_slots(objects, self._idle), noise, next_label), estimate
 
     def draw(self, streams: RandomStreams) -> StepDraws:
         """Random numbers of a step, always as many, whatever the other sequences of the batch need."""
         cfg, d = self.config, self.region.num_coordinates
-        size, entries = (cfg.rounds, cfg.round_size, d), d + self.model.motion.num_extra(d)
+        size, entries = (*cfg.proposal.fit_size, d), d + self.model.motion.num_extra(d)
         return StepDraws(
             streams.normal(cfg.slots, cfg.particles, self.model.motion.num_driving(d)),
             Draws(streams.normal(cfg.slots, *size), streams.normal(cfg.slots, cfg.particles, entries)),
             Draws(streams.normal(cfg.births, *size), streams.normal(cfg.births, cfg.particles, entries)),
             streams.normal(cfg.births, *size),
-            UniformDraws.draw(streams, cfg.slots + cfg.births, self.field.num_tones, cfg.evidence_samples),
+            cfg.evidence.draw(streams, cfg.slots, cfg.births, self.field.num_tones),
         )
 
     def predict(self, state: TrackerState, draws: Tensor) -> Predicted:
         """Objects before the data of a step, see `torchdt.filter.predict.predict`."""
         cfg = self.config
-        # Adapted proposals draw particles of their own: of the predicted ones they need only the moments.
-        enough = ENOUGH if cfg.proposal == "adapted" and cfg.evidence == "sampled" else None
+        enough = ENOUGH if cfg.proposal.moves and not cfg.evidence.every_response else None
         where = self.field, self.region, self.model, self.step_s
-        return predict(*where, state, draws, cfg.gradient, cfg.mixture_components, enough)
+        return predict(*where, state, draws, cfg.gradient, cfg.proposal.mixture_components, enough)
 
     def evidence(
         self,
@@ -231,21 +227,9 @@ class DirectTracker(Tracker[TrackerState]):
         noise: Noise,
         measurement: Measurement,
         beliefs: Beliefs,
-        draws: UniformDraws,
+        draws: Any,
     ) -> Tensor:
         """Evidence of the step, `(*batch,)`; zero where there are no data. The likelihood is not tempered."""
-        if self.config.evidence == "gaussian":
-            log_evidence = gaussian_evidence(predicted.beliefs, measurement, self.model.noise)
-        else:
-            known = predicted.objects.log_odds.shape[-1]
-            new_odds = current.objects.log_odds[..., known:]
-            # New objects are born in places of their own, and change them with no other.
-            pairs = pad(exchangeable(predicted, self.region), (0, new_odds.shape[-1]) * 2)
-            at = current.objects, current.response
-            components = labellings(*at, measurement, beliefs, pairs, self.model.noise)
-            chosen = draws.pick(known, self.config.slots, new_odds.shape[-1])
-            drawn = draw_configurations(*components, beliefs.noise, chosen)
-            log_evidence = sampled_evidence(*at, noise, measurement, drawn, beliefs.diffuse, self.model.noise)
-            num_new = new_odds.isfinite().sum(-1)
-            log_evidence = log_evidence + self.model.birth.log_none(self.region, num_new)
+        given = (predicted, current, noise, measurement, beliefs, draws)
+        log_evidence = self.config.evidence.estimate(*given, self.model, self.region)
         return torch.where((measurement.num_snapshots > 0).any(-1), log_evidence, 0.0)

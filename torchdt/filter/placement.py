@@ -8,11 +8,11 @@ from torch import Tensor
 from torchdt.core.trees import put_sequences, select, take_sequences
 from torchdt.field.base import BaseField
 from torchdt.filter.bp.moments import signal_covariance
-from torchdt.filter.bp.schedule import Beliefs, initial_beliefs, update
+from torchdt.filter.bp.schedule import Beliefs, initial_beliefs
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.predict import Predicted
 from torchdt.filter.proposal.dictionary import Dictionary
-from torchdt.filter.proposal.moved import Draws, propose_adapted
+from torchdt.filter.proposal.moved import Draws
 from torchdt.filter.proposal.newborn import Picks, propose_newborn, search
 from torchdt.filter.slots import Placed, join, join_beliefs
 from torchdt.filter.state import Objects
@@ -80,14 +80,14 @@ class Placer:
                 cfg.slots - predicted.objects.log_odds.isfinite().sum(-1),
                 cfg.pick_threshold(self.birth_log_odds),
                 rounds,
-                refine=cfg.proposal == "adapted",
+                proposal=cfg.proposal,
                 noise_model=self.model.noise,
             )
         explained = Noise(*(t.detach() for t in explained))
         current = first._replace(beliefs=first.beliefs._replace(noise=explained))
         if picks is None:
             return current
-        if cfg.proposal == "adapted":
+        if cfg.proposal.moves:
             # Energy of objects not yet known has pulled at the known ones: place them again without it.
             found = signal_covariance(picks.power, picks.moment)
             current = self._place_again(current, predicted, explained, measurement, known, found, picks)
@@ -127,32 +127,9 @@ class Placer:
         found: Tensor | None = None,
     ) -> Placed:
         """First sweep over the known objects, so that new ones are looked for in what these leave."""
-        cfg, known = self.config, predicted.objects
-        if cfg.proposal == "adapted":
-            placed = propose_adapted(
-                self.field,
-                self.region,
-                known,
-                predicted.density,
-                beliefs,
-                measurement,
-                draws,
-                found,
-                gradient=cfg.gradient,
-                noise_model=self.model.noise,
-            )
-            return Placed(*placed)
-        first = update(
-            known,
-            predicted.response,
-            beliefs.noise,
-            measurement,
-            sweeps=1,
-            schedule=cfg.schedule,
-            initial=beliefs,
-            noise_model=self.model.noise,
-        )
-        return Placed(known, predicted.response, first)
+        cfg = self.config
+        given = (predicted, beliefs, measurement, draws, found, self.model.noise)
+        return cfg.proposal.place_known(self.field, self.region, *given, cfg.schedule, cfg.gradient)
 
     def _add_newborn(
         self, known: Placed, picks: Picks, measurement: Measurement, priors: Priors, draws: Draws
@@ -172,7 +149,7 @@ class Placer:
             cfg.power_points,
             self.birth_log_odds,
             draws,
-            adapted=cfg.proposal == "adapted",
+            proposal=cfg.proposal,
         )
         # What a pick sends beside its response is judged by the power it was picked with.
         newborn = initial_beliefs(new, response, known.beliefs.noise, picks.diffuse)._replace(

@@ -13,6 +13,7 @@ from torchdt.filter.proposal.moved import diffuse_part, respond
 from torchdt.filter.state import Objects, TrackerState
 from torchdt.model.existence import condition_inside, predict_log_odds
 from torchdt.model.model import Model
+from torchdt.model.motion.driving import Gradient
 from torchdt.model.part import widen
 from torchdt.model.region import Region
 
@@ -40,7 +41,7 @@ def predict(
     step_s: float,
     state: TrackerState,
     draws: Tensor,
-    gradient: str,
+    gradient: Gradient,
     components: int = 1,
     enough: int | None = None,
 ) -> Predicted:
@@ -54,7 +55,7 @@ def predict(
         state: belief after the last step, strongest objects first; slots that are empty throughout the batch
             are left out of the result.
         draws: `(*batch, N, P, num_driving)` standard normal.
-        gradient: how the particles depend on the numbers of the motion, see `drive`.
+        gradient: how the particles depend on the numbers of the motion.
         components: of the density of an object, at most; one has the mean and covariance of its particles.
         enough: number of particles whose responses suffice, for their moments; None takes all.
     """

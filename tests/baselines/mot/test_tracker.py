@@ -28,6 +28,7 @@ from oracles.points import (
 from torchdt.baselines.detect.points import Points
 from torchdt.core.linalg import NumericalError
 from torchdt.core.random import RandomStreams
+from torchdt.core.resampling import Systematic
 from torchdt.filter.history import TrackHistory
 
 
@@ -187,7 +188,7 @@ def test_only_poor_sets_are_resampled():
     """Without, the effective sample size goes down with every point; with, it comes up again."""
     sizes = {}
     for below in (0.0, 0.5):
-        tracker = make_tracker(resample_below=below, particles=1000)
+        tracker = make_tracker(resampler=Systematic(below=below), particles=1000)
         state, history = run(tracker, one_object(12), [1])
         sizes[below] = history.effective_sample_size[0, :, 0]
         even = state.objects.log_weight[0, 0].unique().numel() == 1

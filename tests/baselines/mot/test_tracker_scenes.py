@@ -30,6 +30,7 @@ from scipy.stats import t as student
 from torch import Tensor
 
 from torchdt.baselines.detect.points import Points
+from torchdt.core.resampling import Systematic
 from torchdt.filter.history import TrackHistory
 from torchdt.metrics.gospa import gospa
 
@@ -41,7 +42,12 @@ def test_one_object_has_the_exact_posterior():
     with probability 1e-5."""
     seeds, survival, volume = list(range(40)), 0.9, 1000.0 * 500.0
     tracker = make_tracker(
-        slots=2, particles=3000, roughening=0.0, survival=survival, birth_mean=1e-12, clutter_mean=50.0
+        slots=2,
+        particles=3000,
+        resampler=Systematic(roughening=0.0),
+        survival=survival,
+        birth_mean=1e-12,
+        clutter_mean=50.0,
     )
     mean = torch.tensor([500.0, 150.0, 3.0, -2.0], dtype=F64)
     deviation = torch.tensor([20.0, 10.0, 2.0, 1.0], dtype=F64)

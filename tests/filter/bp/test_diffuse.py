@@ -14,7 +14,7 @@ from oracles.scenes import make_scene
 from torchdt.core.trees import select
 from torchdt.field.build import waveguide
 from torchdt.field.mismatch import MismatchedField
-from torchdt.filter.bp.schedule import background, initial_beliefs, update
+from torchdt.filter.bp.schedule import Flooding, Sequential, background, initial_beliefs, update
 from torchdt.filter.proposal.moved import diffuse_part, respond
 from torchdt.filter.state import Objects
 from torchdt.model.gamma_chain import uniform_prior
@@ -25,7 +25,7 @@ F64, C128 = torch.float64, torch.complex128
 FIELD = Path(__file__).parents[3] / "conf" / "field" / "swellex96.yaml"
 TONES, SNAPSHOTS, SHARE = (49.0, 148.0, 283.0), 3, 0.15
 SOURCE, OTHER = (2812.0, 57.0), (3325.0, 41.0)
-SCHEDULES = pytest.mark.parametrize("schedule", ["sequential", "flooding"])
+SCHEDULES = pytest.mark.parametrize("schedule", [Sequential(), Flooding()])
 
 
 class Pair(NamedTuple):
@@ -144,7 +144,7 @@ def test_schedules_agree_on_one_object():
     prior = Objects(*(t[:1] for t in scene.prior))
     initial = initial_beliefs(prior, scene.response[:1], scene.noise, diffuse[:1])
     args = (prior, scene.response[:1], scene.noise, scene.measurement)
-    first, second = (update(*args, sweeps=1, schedule=s, initial=initial) for s in ("sequential", "flooding"))
+    first, second = (update(*args, sweeps=1, schedule=s, initial=initial) for s in (Sequential(), Flooding()))
     for a, b in zip(first.objects, second.objects, strict=True):
         torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(first.moment, second.moment)

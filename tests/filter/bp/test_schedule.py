@@ -7,7 +7,15 @@ from oracles.arrays import direct_log_likelihood
 from oracles.enumeration import enumerate_pair
 from oracles.scenes import LEFT_RIGHT, SAME, TOUCHING, UNAMBIGUOUS, Scene, make_scene, unambiguous
 
-from torchdt.filter.bp.schedule import as_belief, strongest_first, update
+from torchdt.filter.bp.schedule import (
+    SEQUENTIAL,
+    Flooding,
+    Schedule,
+    Sequential,
+    as_belief,
+    strongest_first,
+    update,
+)
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement
 from torchdt.model.noise.base import Noise
@@ -17,7 +25,7 @@ def variation(a: np.ndarray, b: np.ndarray) -> float:
     return 0.5 * float(np.abs(a - b).sum())
 
 
-def infer(scene: Scene, sweeps: int = 3, schedule: str = "sequential"):
+def infer(scene: Scene, sweeps: int = 3, schedule: Schedule = SEQUENTIAL):
     """Existence (2,) and state marginals (2, X) of BP."""
     beliefs = update(
         scene.prior, scene.response, scene.noise, scene.measurement, sweeps=sweeps, schedule=schedule
@@ -80,7 +88,7 @@ def test_error_in_ambiguous_scenes_is_bounded(seed, truth, power, regions, num_n
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_flooding_sees_a_ghost_beside_a_strong_source(seed):
     scene = make_scene(seed, *UNAMBIGUOUS["beside a strong source"])
-    ghost, _ = infer(scene, 1, "flooding")
+    ghost, _ = infer(scene, 1, Flooding())
     assert ghost[1] > 0.99
     sequential, _ = infer(scene, 1)
     assert sequential[0] > 0.99
@@ -90,12 +98,12 @@ def test_flooding_sees_a_ghost_beside_a_strong_source(seed):
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_flooding_oscillates_where_regions_overlap(seed):
     scene = make_scene(seed, *UNAMBIGUOUS["one in the same region"])
-    found = [infer(scene, sweeps, "flooding")[0] for sweeps in (1, 2, 3, 4)]
+    found = [infer(scene, sweeps, Flooding())[0] for sweeps in (1, 2, 3, 4)]
     np.testing.assert_allclose(found, [[1, 1], [0, 0], [1, 1], [0, 0]], atol=0.01)
 
 
 @pytest.mark.parametrize("prior_existence", [1e-6, 0.3])
-@pytest.mark.parametrize("schedule", ["sequential", "flooding"])
+@pytest.mark.parametrize("schedule", [Sequential(), Flooding()])
 def test_one_object_with_known_noise_is_exact(prior_existence, schedule):
     scene = make_scene(
         3, (-20.0,), (0.05,), LEFT_RIGHT, num_noise=1, prior_existence=(prior_existence, 0.5), num_power=5
@@ -124,7 +132,7 @@ def test_one_object_with_known_noise_is_exact(prior_existence, schedule):
     )
 
 
-@pytest.mark.parametrize("schedule", ["sequential", "flooding"])
+@pytest.mark.parametrize("schedule", [Sequential(), Flooding()])
 def test_batch_equals_single(schedule):
     """Scenes with one, two and no source, visited in different orders."""
     scenes = [

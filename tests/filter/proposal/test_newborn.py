@@ -12,6 +12,8 @@ from torchdt.core.weights import mean_and_covariance, normalise
 from torchdt.field.plane_wave import PlaneWaveField
 from torchdt.filter.bp.messages import state_message
 from torchdt.filter.bp.rank_one import whiten
+from torchdt.filter.proposal.adapted import Adapted
+from torchdt.filter.proposal.as_predicted import AsPredicted
 from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.filter.proposal.moved import Draws, respond
 from torchdt.filter.proposal.newborn import propose_newborn, search
@@ -173,8 +175,8 @@ def test_particles_sit_where_the_source_is():
 
 
 @pytest.mark.parametrize("eastward", [0.97, 0.999])
-@pytest.mark.parametrize("adapted", [True, False])
-def test_nothing_is_born_outside_a_bounded_region(eastward, adapted):
+@pytest.mark.parametrize("proposal", [Adapted(), AsPredicted()])
+def test_nothing_is_born_outside_a_bounded_region(eastward, proposal):
     """A source at the horizon of a planar array, in a cell that the unit circle cuts."""
     places = [[0.4 * i, 0.4 * j, 0.0] for i in range(3) for j in range(3)]
     field = PlaneWaveField([300.0, 400.0], places, 343.0, "direction_cosines", dtype=F64)
@@ -188,13 +190,13 @@ def test_nothing_is_born_outside_a_bounded_region(eastward, adapted):
     dictionary, threshold = build_dictionary(field, region), torch.tensor(THRESHOLD, dtype=F64)
     rounds = streams.normal(1, 4, 64, 2)
     picks, noise = search(
-        field, region, dictionary, data, signal, known_noise(3), room, threshold, rounds, refine=adapted
+        field, region, dictionary, data, signal, known_noise(3), room, threshold, rounds, proposal=proposal
     )
     assert picks.active.all()
     draws = Draws(streams.normal(1, 4, 64, 2), streams.normal(1, 300, 4))
     limit = torch.full((3, 2), 50.0, dtype=F64)
     new, response = propose_newborn(
-        field, region, data, signal, picks, noise, limit, MODEL, 20, ODDS, draws, adapted=adapted
+        field, region, data, signal, picks, noise, limit, MODEL, 20, ODDS, draws, proposal=proposal
     )
     outside = ~region.contains(new.state)
     assert outside.any()  # particles there are, without weight
@@ -203,7 +205,7 @@ def test_nothing_is_born_outside_a_bounded_region(eastward, adapted):
     share = (weight.exp() * ~outside).sum(-1)
     torch.testing.assert_close(share, torch.ones_like(share))
     assert response.isfinite().all()
-    if adapted:  # to what is inside: half of the cell is not, and at the border more of the likelihood
+    if proposal.moves:  # to what is inside: half of the cell is not, and at the border more of the likelihood
         assert (outside.double().mean(-1) < 0.4).all()
         assert region.contains(picks.position).all()
         whitener = whiten(data, mask_covariance(signal, noise.mean, data.present))

@@ -14,12 +14,13 @@ from torchdt.baselines.mot.update import update
 from torchdt.core.random import RandomStreams
 from torchdt.core.weights import effective_sample_size, normalise, standard_deviation, weighted_mean
 from torchdt.data.prepare import require_step
-from torchdt.filter.declare import declare, idle_particles, prune, put_idle, resample_particles
+from torchdt.filter.declare import declare, idle_particles, prune, put_idle
 from torchdt.filter.history import TrackHistory
 from torchdt.filter.slots import join, take_rows
 from torchdt.model.existence import condition_inside, predict_log_odds
 from torchdt.model.motion.base import Motion
 from torchdt.model.motion.constant_velocity import ConstantVelocity
+from torchdt.model.motion.driving import Reparameterised
 from torchdt.model.region import Region
 
 
@@ -75,6 +76,7 @@ class PointTracker:
         likelihood: PointLikelihood,
         motion: Motion | None = None,
     ):
+        config.check_parts()
         self.region, self.step_s = region, require_step(step_s)
         self.config, self.likelihood = config, likelihood
         self.motion = (ConstantVelocity() if motion is None else motion).on(region)
@@ -116,7 +118,7 @@ class PointTracker:
             cfg.slots, cfg.particles, self.motion.num_driving(self.region.num_coordinates)
         )
         proposed = streams.normal(points.present.shape[-1], *size)
-        offset, jitter = streams.uniform(cfg.slots), streams.normal(cfg.slots, *size)
+        resampling = cfg.resampler.draw(streams, cfg.slots, *size)
 
         points = _without_last_absent(points)
         known = self._predict(state.objects, driving)
@@ -136,7 +138,7 @@ class PointTracker:
             failed=torch.zeros_like(points.noise[..., 0], dtype=torch.bool),
             log_evidence=torch.full_like(points.noise[..., 0], torch.nan),
         )
-        particles, log_weight = resample_particles(objects.particles, objects.log_weight, offset, jitter, cfg)
+        particles, log_weight = cfg.resampler.resample(objects.particles, objects.log_weight, resampling)
         objects = objects._replace(particles=particles, log_weight=log_weight, label=label)
         return PointState(objects, next_label), history
 
@@ -156,7 +158,7 @@ class PointTracker:
         dim, occupied = objects.log_odds.ndim - 1, _largest_number(objects)
         old = PointObjects(*(t.narrow(dim, 0, occupied) for t in objects))
         driving = draws.narrow(dim, 0, occupied)
-        particles, _ = self.motion.predict(old.particles, driving, self.step_s, "reparameterised")
+        particles, _ = self.motion.predict(old.particles, driving, self.step_s, Reparameterised())
         log_weight, log_inside = condition_inside(particles, old.log_weight, self.region)
         log_odds = predict_log_odds(old.log_odds, self.config.survival * log_inside.exp())
         return old._replace(particles=particles, log_weight=log_weight, log_odds=log_odds)

@@ -7,18 +7,141 @@ whatever the beliefs are, and of low variance where BP comes near the truth.
 """
 
 import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torchdt.core.linalg import check_finite
-from torchdt.filter.bp.configurations import Configurations, log_probability
+from torchdt.core.random import RandomStreams
+from torchdt.core.ranges import Checked, Count
+from torchdt.filter.bp.configurations import (
+    Configurations,
+    UniformDraws,
+    draw_configurations,
+    labellings,
+    log_probability,
+)
 from torchdt.filter.bp.moments import signal_covariance
 from torchdt.filter.bp.schedule import Beliefs, as_belief
+from torchdt.filter.predict import Predicted, exchangeable
+from torchdt.filter.slots import Placed
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood
+from torchdt.model.model import Model
 from torchdt.model.noise.base import Noise, NoiseModel
 from torchdt.model.noise.white import WHITE
+from torchdt.model.region import Region
+
+
+@runtime_checkable
+class Evidence(Protocol):
+    """An estimate of `log p(z_k | z_1..k-1)`.
+
+    Attributes:
+        every_response: whether it asks the field for all particles of the predicted objects, not for some.
+    """
+
+    every_response: ClassVar[bool]
+
+    def draw(self, streams: RandomStreams, slots: int, births: int, num_tones: int) -> Any:
+        """Random numbers of one step, always as many."""
+        ...
+
+    def estimate(
+        self,
+        predicted: Predicted,
+        current: Placed,
+        noise: Noise,
+        measurement: Measurement,
+        beliefs: Beliefs,
+        draws: Any,
+        model: Model,
+        region: Region,
+    ) -> Tensor:
+        """The evidence of a step, `(*batch,)`.
+
+        Args:
+            predicted: known objects before the data, batch `(*batch, N)`.
+            current: known and new objects on the particles of this step.
+            noise: predicted noise.
+            measurement: statistics of the step, batch `(*batch,)`.
+            beliefs: posterior beliefs about the current objects.
+            draws: see `draw`.
+            model: statistical model, with numbers as tensors.
+            region: region of interest.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class GaussianEvidence:
+    """The predicted mixture as one Gaussian: cheap, crude, blind to new objects."""
+
+    every_response: ClassVar[bool] = True
+
+    def draw(self, streams: RandomStreams, slots: int, births: int, num_tones: int) -> None:
+        """It needs none."""
+
+    def estimate(
+        self,
+        predicted: Predicted,
+        current: Placed,
+        noise: Noise,
+        measurement: Measurement,
+        beliefs: Beliefs,
+        draws: None,
+        model: Model,
+        region: Region,
+    ) -> Tensor:
+        """See `gaussian_evidence`."""
+        return gaussian_evidence(predicted.beliefs, measurement, model.noise)
+
+
+@dataclass(frozen=True)
+class SampledEvidence(Checked):
+    """Importance sampling of joint configurations, drawn from the posterior beliefs.
+
+    Attributes:
+        samples: configurations of each step.
+    """
+
+    KEY: ClassVar[str] = "tracker.evidence"
+    every_response: ClassVar[bool] = False
+
+    samples: Count = 64
+
+    def draw(
+        self, streams: RandomStreams, slots: int, births: int, num_tones: int
+    ) -> tuple[UniformDraws, int]:
+        """Uniform draws for known and new objects, and the number of slots of known ones."""
+        return UniformDraws.draw(streams, slots + births, num_tones, self.samples), slots
+
+    def estimate(
+        self,
+        predicted: Predicted,
+        current: Placed,
+        noise: Noise,
+        measurement: Measurement,
+        beliefs: Beliefs,
+        draws: tuple[UniformDraws, int],
+        model: Model,
+        region: Region,
+    ) -> Tensor:
+        """See `sampled_evidence`; nothing is born in the cells in which no new object is considered."""
+        uniform, slots = draws
+        known = predicted.objects.log_odds.shape[-1]
+        new_odds = current.objects.log_odds[..., known:]
+        # New objects are born in places of their own, and change them with no other.
+        pairs = pad(exchangeable(predicted, region), (0, new_odds.shape[-1]) * 2)
+        at = current.objects, current.response
+        components = labellings(*at, measurement, beliefs, pairs, model.noise)
+        chosen = uniform.pick(known, slots, new_odds.shape[-1])
+        drawn = draw_configurations(*components, beliefs.noise, chosen)
+        log_evidence = sampled_evidence(*at, noise, measurement, drawn, beliefs.diffuse, model.noise)
+        return log_evidence + model.birth.log_none(region, new_odds.isfinite().sum(-1))
 
 
 def gaussian_evidence(beliefs: Beliefs, measurement: Measurement, noise_model: NoiseModel = WHITE) -> Tensor:

@@ -1,12 +1,13 @@
 """The order in which messages are computed decides whether loopy BP succeeds.
 
-`sequential` visits the objects one after another, strongest (existence x power) first, per batch
-element; each visit uses the newest beliefs of the others. `flooding` computes all messages at once from
+`Sequential` visits the objects one after another, strongest (existence x power) first, per batch
+element; each visit uses the newest beliefs of the others. `Flooding` computes all messages at once from
 the beliefs of the last pass, as loopy BP is usually written; it finds ghosts beside strong sources and
 may oscillate for ever where objects overlap.
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -61,41 +62,6 @@ def strongest_first(strength: Tensor) -> Tensor:
     return torch.sort(strength.sum(-1), dim=-1, descending=True, stable=True).indices
 
 
-def update(
-    prior: Objects,
-    response: Tensor,
-    noise: Noise,
-    measurement: Measurement,
-    *,
-    sweeps: int = 3,
-    schedule: str = "sequential",
-    initial: Beliefs | None = None,
-    noise_model: NoiseModel = WHITE,
-) -> Beliefs:
-    """BP update of one time step on fixed particles.
-
-    Args:
-        prior: predicted objects, batch `(*batch, N)`.
-        response: `(*batch, N, I, P, M)` complex responses of the particles.
-        noise: predicted noise.
-        measurement: statistics of the step, batch `(*batch,)`.
-        sweeps: passes over all objects; the noise is updated after each.
-        schedule: `sequential` or `flooding`.
-        initial: beliefs to start from; the predicted ones if None.
-        noise_model: what the noise makes of the covariance of the data.
-
-    Raises:
-        NumericalError: where a covariance is not positive definite or a message not finite.
-    """
-    beliefs = initial_beliefs(prior, response, noise) if initial is None else initial
-    one_sweep = _sequential_sweep if schedule == "sequential" else _flooding_sweep
-    for _ in range(sweeps):
-        beliefs = one_sweep(prior, response, measurement, beliefs, noise_model)
-        signal = signal_covariance(beliefs.strength, beliefs.moment)
-        beliefs = beliefs._replace(noise=noise_model.update(noise, measurement, signal))
-    return beliefs
-
-
 def background(
     beliefs: Beliefs,
     measurement: Measurement,
@@ -122,21 +88,6 @@ def background(
     return noise_model.covariance(signal, beliefs.noise.mean, measurement.present)
 
 
-def _sequential_sweep(
-    prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs, noise_model: NoiseModel
-) -> Beliefs:
-    order = strongest_first(beliefs.strength)
-    # Empty slots sort last and have nothing to say; how many there are differs across the batch.
-    for visit in range(int(prior.log_odds.isfinite().sum(-1).max())):
-        index = order[..., visit]
-        whitener = whiten(measurement, background(beliefs, measurement, index, noise_model=noise_model))
-        slot_response, slot_power = take(response, index), take(prior.power, index)
-        slot_prior = ObjectBelief(*(take(t, index) for t in as_belief(prior)))
-        slot = object_belief(whitener, slot_response, slot_power, slot_prior)
-        beliefs = store(beliefs, index, slot, slot_power, response_moment(slot_response, slot.log_weight))
-    return beliefs
-
-
 def store(beliefs: Beliefs, index: Tensor, slot: ObjectBelief, power: Tensor, moment: Tensor) -> Beliefs:
     """Put the new belief of one slot per batch element in its place, with its moments.
 
@@ -159,21 +110,117 @@ def store(beliefs: Beliefs, index: Tensor, slot: ObjectBelief, power: Tensor, mo
     )
 
 
-def _flooding_sweep(
-    prior: Objects, response: Tensor, measurement: Measurement, beliefs: Beliefs, noise_model: NoiseModel
+@runtime_checkable
+class Schedule(Protocol):
+    """The order of the messages of one pass."""
+
+    def sweep(
+        self,
+        prior: Objects,
+        response: Tensor,
+        measurement: Measurement,
+        beliefs: Beliefs,
+        noise_model: NoiseModel,
+    ) -> Beliefs:
+        """Beliefs of all objects renewed once; that of the noise stays.
+
+        Args:
+            prior: predicted objects, batch `(*batch, N)`.
+            response: `(*batch, N, I, P, M)` complex responses of the particles.
+            measurement: statistics of the step, batch `(*batch,)`.
+            beliefs: before this pass.
+            noise_model: what the noise makes of the covariance of the data.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Sequential:
+    """One object after another, strongest first, each against the newest beliefs of the others."""
+
+    def sweep(
+        self,
+        prior: Objects,
+        response: Tensor,
+        measurement: Measurement,
+        beliefs: Beliefs,
+        noise_model: NoiseModel,
+    ) -> Beliefs:
+        """See `Schedule.sweep`."""
+        order = strongest_first(beliefs.strength)
+        # Empty slots sort last and have nothing to say; how many there are differs across the batch.
+        for visit in range(int(prior.log_odds.isfinite().sum(-1).max())):
+            index = order[..., visit]
+            whitener = whiten(measurement, background(beliefs, measurement, index, noise_model=noise_model))
+            slot_response, slot_power = take(response, index), take(prior.power, index)
+            slot_prior = ObjectBelief(*(take(t, index) for t in as_belief(prior)))
+            slot = object_belief(whitener, slot_response, slot_power, slot_prior)
+            beliefs = store(beliefs, index, slot, slot_power, response_moment(slot_response, slot.log_weight))
+        return beliefs
+
+
+@dataclass(frozen=True)
+class Flooding:
+    """All objects at once, each against the beliefs of the last pass."""
+
+    def sweep(
+        self,
+        prior: Objects,
+        response: Tensor,
+        measurement: Measurement,
+        beliefs: Beliefs,
+        noise_model: NoiseModel,
+    ) -> Beliefs:
+        """See `Schedule.sweep`."""
+        per_object = measurement.unsqueeze()
+        signal = signal_without_each(beliefs.strength, beliefs.moment)
+        if beliefs.diffuse is not None:
+            signal = signal + beliefs.power[..., None, None] * beliefs.diffuse
+        noise = beliefs.noise.mean[..., None, :]
+        whitener = whiten(per_object, noise_model.covariance(signal, noise, per_object.present))
+        objects = object_belief(whitener, response, prior.power, as_belief(prior))
+        power = weighted_mean(prior.power, objects.log_power_weight)
+        moment = response_moment(response, objects.log_weight)
+        return beliefs._replace(
+            objects=objects,
+            moment=moment if beliefs.diffuse is None else moment + beliefs.diffuse,
+            strength=torch.sigmoid(objects.log_odds)[..., None] * power,
+            power=power,
+        )
+
+
+SEQUENTIAL = Sequential()
+
+
+def update(
+    prior: Objects,
+    response: Tensor,
+    noise: Noise,
+    measurement: Measurement,
+    *,
+    sweeps: int = 3,
+    schedule: Schedule = SEQUENTIAL,
+    initial: Beliefs | None = None,
+    noise_model: NoiseModel = WHITE,
 ) -> Beliefs:
-    per_object = measurement.unsqueeze()
-    signal = signal_without_each(beliefs.strength, beliefs.moment)
-    if beliefs.diffuse is not None:
-        signal = signal + beliefs.power[..., None, None] * beliefs.diffuse
-    noise = beliefs.noise.mean[..., None, :]
-    whitener = whiten(per_object, noise_model.covariance(signal, noise, per_object.present))
-    objects = object_belief(whitener, response, prior.power, as_belief(prior))
-    power = weighted_mean(prior.power, objects.log_power_weight)
-    moment = response_moment(response, objects.log_weight)
-    return beliefs._replace(
-        objects=objects,
-        moment=moment if beliefs.diffuse is None else moment + beliefs.diffuse,
-        strength=torch.sigmoid(objects.log_odds)[..., None] * power,
-        power=power,
-    )
+    """BP update of one time step on fixed particles.
+
+    Args:
+        prior: predicted objects, batch `(*batch, N)`.
+        response: `(*batch, N, I, P, M)` complex responses of the particles.
+        noise: predicted noise.
+        measurement: statistics of the step, batch `(*batch,)`.
+        sweeps: passes over all objects; the noise is updated after each.
+        schedule: order of the messages.
+        initial: beliefs to start from; the predicted ones if None.
+        noise_model: what the noise makes of the covariance of the data.
+
+    Raises:
+        NumericalError: where a covariance is not positive definite or a message not finite.
+    """
+    beliefs = initial_beliefs(prior, response, noise) if initial is None else initial
+    for _ in range(sweeps):
+        beliefs = schedule.sweep(prior, response, measurement, beliefs, noise_model)
+        signal = signal_covariance(beliefs.strength, beliefs.moment)
+        beliefs = beliefs._replace(noise=noise_model.update(noise, measurement, signal))
+    return beliefs

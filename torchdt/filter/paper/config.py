@@ -1,9 +1,17 @@
 """Settings of the paper's own graph."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
-from torchdt.core.ranges import Count, Passes, Power, Share
+from torchdt.core.ranges import Count, Passes, Power
+from torchdt.core.resampling import Systematic
 from torchdt.filter.config import ObjectConfig
+
+if TYPE_CHECKING:
+    from torchdt.core.resampling import Resampler
+else:  # configurations have no protocols
+    Resampler = Any
 
 
 @dataclass
@@ -14,6 +22,7 @@ class PaperConfig(ObjectConfig):
         power_particles: number G of particles of each tone's power.
         noise_particles: number E of particles of each tone's noise variance.
         births: number of cells in which new objects are considered in every step.
+        resampler: of states, powers and noise variances.
         iterations: of the messages of a step, all of which are sent at once.
         power_max: upper limit of the uniform power prior in squared data units; None takes it from the data.
         noise_max: upper limit of the uniform noise prior in squared data units; None takes it from the data.
@@ -25,5 +34,4 @@ class PaperConfig(ObjectConfig):
     iterations: Passes = 3
     power_max: Power | None = None
     noise_max: Power | None = None
-    roughening: Share = 0.0
-    resample_below: Share = 1.0
+    resampler: Resampler = field(default_factory=partial(Systematic, below=1.0, roughening=0.0))

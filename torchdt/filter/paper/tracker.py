@@ -9,13 +9,13 @@ from torch import Tensor
 
 from torchdt.core.errors import InputError
 from torchdt.core.random import RandomStreams
-from torchdt.core.resampling import systematic_indices
+from torchdt.core.resampling import Resampler, ResamplingDraws
 from torchdt.data.prepare import Prepared, check_step, prepare, require_step
 from torchdt.data.recording import Recording
 from torchdt.field.base import BaseField, Field
 from torchdt.field.wrapped import CompletedField
 from torchdt.filter.config import TrackerConfig
-from torchdt.filter.declare import empty_slots, idle_particles, report, resample_particles
+from torchdt.filter.declare import empty_slots, idle_particles, report
 from torchdt.filter.history import TrackHistory
 from torchdt.filter.paper.births import newborn, pick_cells
 from torchdt.filter.paper.config import PaperConfig
@@ -27,7 +27,7 @@ from torchdt.filter.tracker import Tracker
 from torchdt.model.existence import condition_inside, predict_log_odds
 from torchdt.model.measurement import Measurement
 from torchdt.model.model import Model
-from torchdt.model.motion.driving import GRADIENTS
+from torchdt.model.motion.driving import Score
 from torchdt.model.noise.base import BaseNoise, Noise
 from torchdt.model.part import widen
 from torchdt.model.power.gamma import GammaPower
@@ -39,8 +39,8 @@ class Draws(NamedTuple):
     """Random numbers of one step.
 
     Attributes:
-        offsets: `(*batch, N)`, `(*batch, N, I)` and `(*batch, I)` uniform, for resampling states, powers and
-            noise.
+        offsets: `(*batch, N, U)`, `(*batch, N, I, U)` and `(*batch, I, U)` uniform, for resampling states,
+            powers and noise, as many as the resampler needs.
         jitter: `(*batch, N, P, D)` standard normal, for roughening states.
         driving: `(*batch, N, P, num_driving)` standard normal.
         power, noise: `(*batch, N, I, G)` and `(*batch, I, E)` Gamma of unit scale.
@@ -188,7 +188,12 @@ class PaperTracker(Tracker[TrackerState]):
     def draw(self, streams: RandomStreams) -> Draws:
         """Random numbers of a step, always as many, whatever the other sequences of the batch need."""
         cfg, d, tones = self.config, self.region.num_coordinates, self.field.num_tones
-        offsets = streams.uniform(cfg.slots), streams.uniform(cfg.slots, tones), streams.uniform(tones)
+        needed = cfg.resampler.num_uniforms
+        offsets = (
+            streams.uniform(cfg.slots, needed(cfg.particles)),
+            streams.uniform(cfg.slots, tones, needed(cfg.power_particles)),
+            streams.uniform(tones, needed(cfg.noise_particles)),
+        )
         extra = self.model.motion.num_extra(d)
         return Draws(
             offsets,
@@ -218,12 +223,11 @@ class PaperTracker(Tracker[TrackerState]):
             return tensor.narrow(dim, 0, occupied)
 
         old = Objects(*map(some, objects))
-        state, log_weight = resample_particles(
-            old.state, old.log_weight, some(draws.offsets[0]), some(draws.jitter), cfg
-        )
-        state, _ = self.model.motion.predict(state, some(draws.driving), self.step_s, GRADIENTS[0])
+        resampling = ResamplingDraws(some(draws.offsets[0]), some(draws.jitter))
+        state, log_weight = cfg.resampler.resample(old.state, old.log_weight, resampling)
+        state, _ = self.model.motion.predict(state, some(draws.driving), self.step_s, Score())
         log_weight, _ = condition_inside(state, log_weight, self.region)
-        power = resample_values(old.power, old.log_power_weight, some(draws.offsets[1]))
+        power = resample_values(old.power, old.log_power_weight, some(draws.offsets[1]), cfg.resampler)
         log_odds = predict_log_odds(old.log_odds, widen(self.model.survival, 1))
         return Objects(
             state=state,
@@ -236,7 +240,7 @@ class PaperTracker(Tracker[TrackerState]):
 
     def predict_noise(self, noise: Noise, draws: Draws) -> Noise:
         """Resample the noise variances and draw their transition: xi."""
-        variance = resample_values(noise.variance, noise.log_weight, draws.offsets[2])
+        variance = resample_values(noise.variance, noise.log_weight, draws.offsets[2], self.config.resampler)
         variance = variance * draws.noise / widen(self.noise_shape, 2)
         return Noise(variance, _even(variance.shape, variance))
 
@@ -257,9 +261,9 @@ class PaperTracker(Tracker[TrackerState]):
         )
 
 
-def resample_values(values: Tensor, log_weight: Tensor, offset: Tensor) -> Tensor:
-    """Systematic resampling of scalars, `(*batch, G)` and uniform draws `(*batch,)`."""
-    return values.gather(-1, systematic_indices(log_weight, offset))
+def resample_values(values: Tensor, log_weight: Tensor, uniform: Tensor, resampler: Resampler) -> Tensor:
+    """Scalars `(*batch, G)` resampled with uniform draws `(*batch, U)`."""
+    return values.gather(-1, resampler.ancestors(log_weight, uniform))
 
 
 def _even(shape: torch.Size | tuple[int, ...], like: Tensor) -> Tensor:

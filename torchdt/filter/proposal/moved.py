@@ -19,9 +19,12 @@ from torchdt.filter.bp.schedule import Beliefs, as_belief, background, store
 from torchdt.filter.state import Objects
 from torchdt.model.existence import drop_outside
 from torchdt.model.measurement import Measurement
+from torchdt.model.motion.driving import Gradient, Score
 from torchdt.model.noise.base import NoiseModel
 from torchdt.model.noise.white import WHITE
 from torchdt.model.region import Region
+
+SCORE = Score()
 
 
 class Draws(NamedTuple):
@@ -36,7 +39,7 @@ class Draws(NamedTuple):
     final: Tensor
 
 
-class Adapted(NamedTuple):
+class Drawn(NamedTuple):
     """Drawn particles; constants to any gradient.
 
     Attributes:
@@ -75,7 +78,7 @@ def propose_adapted(
     draws: Draws,
     found: Tensor | None = None,
     *,
-    gradient: str = "score",
+    gradient: Gradient = SCORE,
     noise_model: NoiseModel = WHITE,
 ) -> tuple[Objects, Tensor, Beliefs]:
     """Redraw the particles of every object where prediction and likelihood meet.
@@ -92,8 +95,7 @@ def propose_adapted(
         measurement: statistics of the step.
         draws: random numbers.
         found: `(*batch, I, M, M)` covariance of signals that are no objects yet.
-        gradient: how the particles depend on the prediction: `score` keeps them and moves their weights,
-            `reparameterised` moves them.
+        gradient: how the particles depend on the prediction.
         noise_model: what the noise makes of the covariance of the data.
 
     Returns:
@@ -114,11 +116,17 @@ def propose_adapted(
 
         prediction = GaussianMixture(*(take(t, index) for t in density))
         drawn = draw_adapted(log_likelihood, prediction, take(draws.rounds, index), take(draws.final, index))
-        if gradient == "reparameterised":
-            state = prediction.sample(drawn.white, drawn.component)
-            log_prior = drawn.log_prior + prediction.log_share(drawn.component)
-        else:
-            state, log_prior = drawn.state, prediction.log_prob(drawn.state, drawn.component)
+        component = drawn.component
+
+        def log_density(state: Tensor) -> Tensor:
+            """Of particles in their components."""
+            return prediction.log_prob(state, component) - prediction.log_share(component)  # noqa: B023
+
+        state, log_ratio = gradient.attach(
+            drawn.state, prediction.sample(drawn.white, component), log_density
+        )
+        # Which component a particle belongs to does not move with the parameters.
+        log_prior = drawn.log_prior + log_ratio + prediction.log_share(component)
         log_weight = log_prior - drawn.log_proposal
         # Given that the object is still in the region; that it left is in the predicted existence.
         log_weight = drop_outside(state, log_weight, region) - take(log_inside, index)[..., None]
@@ -135,21 +143,18 @@ def propose_adapted(
     return objects, torch.stack(responses, batch_dims), beliefs
 
 
-def _log_inside(region: Region, density: GaussianMixture, rounds: Tensor, gradient: str) -> Tensor:
+def _log_inside(region: Region, density: GaussianMixture, rounds: Tensor, gradient: Gradient) -> Tensor:
     """Log of the share of predictions that lies in the region, `(*batch, N)`, by sampling their components.
 
-    Zero where all samples are inside. For `score` its gradient is that of the density at fixed samples; for
-    `reparameterised`, where what crosses the edge of the region has no gradient, it has none either.
+    Zero where all samples are inside. The samples stay where they are, and their log-ratio is all that has a
+    gradient: particles that move have none where they cross the edge of the region, and here neither.
     """
     predicted = density.marginal(region.num_coordinates).components
     rounds = rounds[..., : density.mean.shape[-3], :, :, :]
     position = predicted.sample(rounds.flatten(-3, -2).unsqueeze(-3)).detach()
     # The region may differ from sequence to sequence, not from component to component.
     inside = region.contains(position.flatten(-3, -2)).unflatten(-1, position.shape[-3:-1])
-    log_density = predicted.log_prob(position)
-    log_ratio = log_density - log_density.detach()
-    if gradient == "reparameterised":
-        log_ratio = log_ratio.detach()
+    _, log_ratio = gradient.attach(position, position, predicted.log_prob)
     num = position.shape[-2]
     # As if one sample more were inside where none is.
     total = torch.where(inside, log_ratio, -torch.inf).exp().sum(-1).clamp_min(1.0)
@@ -160,7 +165,7 @@ def _log_inside(region: Region, density: GaussianMixture, rounds: Tensor, gradie
 @torch.no_grad()
 def draw_adapted(
     log_likelihood: Callable[[Tensor], Tensor], predicted: GaussianMixture, rounds: Tensor, final: Tensor
-) -> Adapted:
+) -> Drawn:
     """Particles where a predicted mixture and a likelihood meet.
 
     Args:
@@ -203,7 +208,7 @@ def draw_adapted(
     log_proposal = log_drawn + log_state - log_position
     parts = (state, white, log_state, log_proposal)
     state, white, log_prior, log_proposal = (of_component(t, strata.component) for t in parts)
-    return Adapted(state, strata.component, white, log_prior, log_proposal)
+    return Drawn(state, strata.component, white, log_prior, log_proposal)
 
 
 def _shares(log_weight: Tensor, log_evidence: Tensor, share: float) -> Tensor:

@@ -13,15 +13,17 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdt.core.importance import Box, Density, adapt
+from torchdt.core.importance import Box
 from torchdt.core.weights import weighted_mean
 from torchdt.field.base import BaseField, Field
 from torchdt.filter.bp.messages import state_message
 from torchdt.filter.bp.moments import signal_covariance, signal_without_each
 from torchdt.filter.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics, whiten
+from torchdt.filter.proposal.adapted import Adapted
+from torchdt.filter.proposal.base import Proposal
 from torchdt.filter.proposal.dictionary import Dictionary
 from torchdt.filter.proposal.moved import Draws, respond
-from torchdt.filter.proposal.neighbourhood import cell_around, drop_foreign, grow, log_cells, place_of
+from torchdt.filter.proposal.neighbourhood import drop_foreign, log_cells
 from torchdt.filter.proposal.strongest import strongest_cell
 from torchdt.filter.state import Objects
 from torchdt.model.existence import drop_outside
@@ -31,6 +33,7 @@ from torchdt.model.noise.base import Noise, NoiseModel
 from torchdt.model.noise.white import WHITE
 from torchdt.model.region import Region
 
+ADAPTED = Adapted()
 UNSETTLED = 0.25
 """Variance of the logarithm of a noise variance from which on the noise level counts as unknown."""
 
@@ -67,7 +70,7 @@ def search(
     threshold: Tensor,
     rounds: Tensor,
     *,
-    refine: bool = True,
+    proposal: Proposal = ADAPTED,
     noise_model: NoiseModel = WHITE,
 ) -> tuple[Picks | None, Noise]:
     """Pick cells and refine them.
@@ -79,7 +82,7 @@ def search(
         free: `(*batch,)` int64, how many new objects there is room for.
         threshold: `(*batch,)`, smallest log-likelihood ratio at its peak that is worth a new object.
         rounds: `(*batch, Q, rounds, S, d)` standard normal draws; Q is the largest number of picks.
-        refine: look for the peak between the grid's points; else a pick stays at the centre of its cell.
+        proposal: refines picks between the points of the grid, or not.
         noise_model: what the noise makes of the covariance of the data.
 
     Returns:
@@ -99,9 +102,8 @@ def search(
         alive = alive & ((score > threshold) | unsettled) & (pick < free)
         if not bool(alive.any()):
             break
-        position = dictionary.points[cell]
-        if refine:
-            position = _refine(field, region, whitener, position, rounds[..., pick, :, :, :])
+        centre, draws = dictionary.points[cell], rounds[..., pick, :, :, :].movedim(-3, 0)
+        position = _refine(field, region, whitener, centre, draws, proposal)
         response = respond(field, position[..., None, :])
         s, q = statistics(whitener, response)
         _, power = peak_log_likelihood_ratio(whitener.num_snapshots, s[..., 0], q[..., 0])
@@ -147,8 +149,10 @@ def _log_likelihood(
     return gaussian_log_likelihood(measurement, covariance).sum(-1)
 
 
-def _refine(field: Field, region: Region, whitener: Whitener, centre: Tensor, rounds: Tensor) -> Tensor:
-    """Peak of the likelihood within a cell of the picked one, `(*batch, d)`."""
+def _refine(
+    field: Field, region: Region, whitener: Whitener, centre: Tensor, rounds: Tensor, proposal: Proposal
+) -> Tensor:
+    """Position of a pick within a cell of the picked one, `(*batch, d)`."""
 
     def peak(position: Tensor) -> Tensor:
         s, q = statistics(whitener, respond(field, position))
@@ -157,7 +161,7 @@ def _refine(field: Field, region: Region, whitener: Whitener, centre: Tensor, ro
 
     low, high = torch.maximum(centre - region.cell, region.lower_end), centre + region.cell
     around = Box(low, torch.minimum(high, region.upper_end))
-    return adapt(peak, around, rounds.movedim(-3, 0))[0].fitted.mean
+    return proposal.refine(peak, centre, around, rounds)
 
 
 def propose_newborn(
@@ -173,7 +177,7 @@ def propose_newborn(
     log_odds: Tensor,
     draws: Draws,
     *,
-    adapted: bool = True,
+    proposal: Proposal = ADAPTED,
 ) -> tuple[Objects, Tensor]:
     """New objects around the picks, with particles where prior and likelihood meet.
 
@@ -189,7 +193,7 @@ def propose_newborn(
         power_points: number G of their support points.
         log_odds: `(*batch,)`, prior log-odds of an object in one cell.
         draws: at least as many as picks.
-        adapted: fit box and proposal to the likelihood; else particles are uniform in one cell.
+        proposal: box of a new object, and density of its particles.
 
     Returns:
         Objects of batch `(*batch, Q)` (log-odds minus infinity where a pick is inactive), whose weights add
@@ -209,19 +213,13 @@ def propose_newborn(
         message = state_message(whitener, respond(field, position), power, log_power_weight)
         return drop_outside(position, message, region)
 
-    peak, draws_of_rounds = picks.position, rounds.movedim(-3, 0)
-    prior = grow(log_likelihood, peak, region, draws_of_rounds) if adapted else cell_around(peak, region)
-    proposal: Density = prior
-    places = prior
-    if adapted:
-        proposal = mixture = adapt(log_likelihood, prior, draws_of_rounds)[0]
-        places = place_of(mixture.fitted, prior)
+    prior, density, places = proposal.newborn(log_likelihood, picks.position, region, rounds.movedim(-3, 0))
     d = region.num_coordinates
-    position = proposal.sample(final[..., :d])
+    position = density.sample(final[..., :d])
     # Of all boxes the odds are those of one cell, so that none goes first for being large; the weights of a
     # box add up to the number of its cells instead.
     log_prior = prior.log_prob(position) + log_cells(prior, region)[..., None]
-    log_weight = log_prior - proposal.log_prob(position) - math.log(final.shape[-2])
+    log_weight = log_prior - density.log_prob(position) - math.log(final.shape[-2])
     state = model.motion.newborn(region, position, final[..., d:])
     log_weight = drop_outside(state, log_weight, region)
     log_weight = drop_foreign(position, log_weight, places, picks.active, region)

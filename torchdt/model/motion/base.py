@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchdt.core.resampling import scale_tril
 from torchdt.core.support import POSITIVE
-from torchdt.model.motion.driving import drive
+from torchdt.model.motion.driving import Gradient, drive
 from torchdt.model.part import Number, Part, number
 from torchdt.model.region import Coordinate, Region, per_coordinate
 
@@ -29,14 +29,16 @@ class Motion(Protocol):
         """Number of entries of the driving noise."""
         ...
 
-    def predict(self, state: Tensor, draws: Tensor, step_s: float, gradient: str) -> tuple[Tensor, Tensor]:
+    def predict(
+        self, state: Tensor, draws: Tensor, step_s: float, gradient: Gradient
+    ) -> tuple[Tensor, Tensor]:
         """Move particles.
 
         Args:
             state: `(*batch, N, P, D)`.
             draws: `(*batch, N, P, num_driving)` standard normal.
             step_s: time step in seconds.
-            gradient: how the particles depend on the numbers of the motion, see `drive`.
+            gradient: how the particles depend on the numbers of the motion.
 
         Returns:
             New particles, and the log transition ratio `(*batch, N, P)`: zero, but with the gradient.
@@ -110,7 +112,9 @@ class BaseMotion(Part):
         """
         raise NotImplementedError
 
-    def predict(self, state: Tensor, draws: Tensor, step_s: float, gradient: str) -> tuple[Tensor, Tensor]:
+    def predict(
+        self, state: Tensor, draws: Tensor, step_s: float, gradient: Gradient
+    ) -> tuple[Tensor, Tensor]:
         """Move particles, see `Motion.predict`."""
         driving, log_ratio = drive(draws, self.variance().unsqueeze(-2), gradient)
         return self.move(state, driving, step_s), log_ratio
