@@ -1,7 +1,7 @@
-"""What the constants of the filter are worth: `python experiments/constants.py [--scenarios births] [key=value]`.
+"""What the constants of the filter are worth: `python experiments/constants.py --help`.
 
-Tracks the same recordings with one constant at a time at a smaller and at a larger value. Where little changes,
-quality does not hang on it. Scores are of all steps.
+Tracks the same recordings with one constant at a time at a smaller and at a larger value. Where little
+changes, quality does not hang on it. Scores are of all steps.
 """
 
 import argparse
