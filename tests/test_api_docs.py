@@ -13,7 +13,10 @@ from sphinx.util.inventory import InventoryFile
 
 import torchdt
 
-pytestmark = pytest.mark.filterwarnings("ignore:The mapping interface for autodoc")  # of Sphinx to itself
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore:The mapping interface for autodoc"),  # of Sphinx to itself
+]
 SOURCE = Path(__file__).parents[1] / "docs" / "api"
 
 

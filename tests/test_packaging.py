@@ -15,6 +15,7 @@ import pytest
 
 import torchdt
 
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[1]
 WANTED = ("pyproject.toml", "README.md", "LICENSE", "torchdt", "conf")
 COMPOSE = """

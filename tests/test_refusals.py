@@ -18,6 +18,7 @@ from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.model.region import Coordinate, Region
 from torchdt.run.track import track
 
+pytestmark = pytest.mark.slow
 F64 = torch.float64
 CONFIGS = {DirectTracker: TrackerConfig(slots=2, particles=10), TwoStepTracker: TwoStepConfig(slots=2)}
 TRACKERS = pytest.mark.parametrize("kind", CONFIGS)

@@ -13,6 +13,7 @@ from torchdt.app.build import build_recording, build_tracker
 from torchdt.app.targets import build_field
 from torchdt.data.npz import write_npz
 
+pytestmark = pytest.mark.slow
 SIZE = (
     "scenario.num_steps=12",
     "tracker.slots=4",

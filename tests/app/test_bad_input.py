@@ -6,6 +6,7 @@ from oracles.arrays import changed, sample_covariance
 
 from torchdt.data.npz import write_npz
 
+pytestmark = pytest.mark.slow
 FIRST = "scenario.sources.first"
 PATH = "scenario.paths.first"
 MISMATCH = "scenario.mismatch"

@@ -10,6 +10,7 @@ from torchdt.app.build import build_recording, build_tracker, build_tracking_fie
 from torchdt.app.targets import build_field
 from torchdt.field.stacked import StackedField
 
+pytestmark = pytest.mark.slow
 TINY = (
     "scenario=mismatch",
     "field.freqs=[49,148,283]",

@@ -12,6 +12,7 @@ from oracles.scripts import SMALL, call, configured, load
 from torchdt.app import track
 from torchdt.app.claims import RUN, SWEEP
 
+pytestmark = pytest.mark.slow
 SIZE = ("scenario=line_array", *SMALL, "logging=quiet", "checkpoint_s=null")
 
 

@@ -9,6 +9,7 @@ from oracles.scripts import SMALL, call
 from torchdt import __version__
 from torchdt.app import cli
 
+pytestmark = pytest.mark.slow
 FAST = ("scenario=line_array", *SMALL, "scenario.num_steps=3", "logging=quiet")
 COMPLETE = """
 eval "$(torchdt -sc install=bash)"

@@ -16,6 +16,7 @@ from torchdt.app.collect import choose, differing, find_directories, gather, mai
 from torchdt.app.report.collect import Row, interval_figure
 from torchdt.app.report.collect_runs import Run
 
+pytestmark = pytest.mark.slow
 QUIET = ("scenario=line_array", "scenario.num_steps=5", "logging=quiet")
 SIZE = (*QUIET, *SMALL)
 PARTICLES, SEEDS = (60, 100), (0, 1, 2)

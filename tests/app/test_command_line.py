@@ -4,8 +4,10 @@ import json
 import subprocess
 import sys
 
+import pytest
 from oracles.scripts import FOLDER
 
+pytestmark = pytest.mark.slow
 SMALL = ("scenario=line_array", "scenario.num_steps=3", "tracker.particles=50", "logging=quiet")
 
 

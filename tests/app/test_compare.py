@@ -21,6 +21,7 @@ from torchdt.core.errors import InputError
 from torchdt.data.recording import validate
 from torchdt.metrics import Gospa
 
+pytestmark = pytest.mark.slow
 SMALL = ("scenario.num_steps=8", "tracker.slots=4", "tracker.particles=100", "calibration=none")
 TRACKERS = ["direct", "nowhere", "mp_bp"]
 

@@ -12,6 +12,7 @@ from torchdt.core.random import RandomStreams
 from torchdt.filter.history import TrackHistory
 from torchdt.run.track import derive_seed
 
+pytestmark = pytest.mark.slow
 TRACKERS = pytest.mark.parametrize("tracker", ["direct", "direct_paper", "mp_bp", "sbl_bp"])
 WATER = ("scenario.num_steps=2", "field.freqs=[49,148]", "calibration=none")
 SHARE = "tracker.mismatch_share=[0.1,0.2]"

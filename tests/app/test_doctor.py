@@ -11,6 +11,8 @@ from oracles.scripts import call
 from torchdt.app import doctor
 from torchdt.run.track import track
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def diagnose(tmp_path, monkeypatch):

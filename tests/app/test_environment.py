@@ -6,6 +6,8 @@ import pytest
 
 from torchdt.app import build
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(("seed", "shared"), [(None, False), (5, True)])
 def test_runs_share_one_environment_if_it_has_a_seed(settings, seed, shared):

@@ -20,6 +20,7 @@ from torchdt.app.tunable import build_problem, gather
 from torchdt.calibration.environment import CalibrationConfig
 from torchdt.run.track import track
 
+pytestmark = pytest.mark.slow
 SHORT = ("scenario.num_steps=2", "logging=quiet")
 GIVEN = {("model/noise", "coloured"): (f"model.noise.matrix={torch.eye(8).tolist()}",)}
 """What parts of the model have no default for, on the line array."""

@@ -8,6 +8,7 @@ from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra.core.object_type import ObjectType
 from oracles.scripts import call, configured, load
 
+pytestmark = pytest.mark.slow
 JOBS = sorted(configured("*.yaml"))
 GROUPS = sorted({path.parent.name for path in configured("*/*.yaml").values()})
 

@@ -16,6 +16,7 @@ from torchdt.app.job import job
 from torchdt.app.sweep import SweepReport
 from torchdt.core.errors import InputError, StorageError
 
+pytestmark = pytest.mark.slow
 FINE, BROKEN = SimpleNamespace(error=""), SimpleNamespace(error="what went wrong")
 
 

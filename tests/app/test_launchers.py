@@ -10,6 +10,7 @@ from hydra._internal.config_repository import ConfigRepository
 from joblib.externals.loky import get_reusable_executor
 from oracles.scripts import SMALL, call, load
 
+pytestmark = pytest.mark.slow
 ERROR = "InputError: key 'tracker.particles': found -1, expected a positive integer"
 # A store that fits a small /dev/shm, and nothing that listens for a browser.
 RAY = (

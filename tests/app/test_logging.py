@@ -13,6 +13,7 @@ import torchdt
 from torchdt.app import track
 from torchdt.app.job import logged_warnings
 
+pytestmark = pytest.mark.slow
 FAST = ("scenario=line_array", *SMALL, "scenario.num_steps=3", "logging=quiet")
 LINE = re.compile(r"\[\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}\]\[([\w.]+)\]\[([A-Z]+)\] - .+")
 

@@ -12,6 +12,8 @@ from oracles.scripts import configuration, load
 
 from torchdt.core.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 CONFIGURATIONS = {
     "track": ("track",),
     "population": ("track", "scenario=line_array_model"),

@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+pytestmark = pytest.mark.slow
 FILES = {
     "metrics.json",
     "gospa.csv",
@@ -25,7 +26,9 @@ def run(launch):
 @pytest.fixture(scope="module")
 def waveguide(launch):
     """The SWellEx-96 scenario, short but with the tracker's own sizes."""
-    return launch("logging=default", "scenario.num_steps=12", "tracker.particles=300", small=False)
+    return launch(
+        "logging=default", "scenario.num_steps=12", "tracker.particles=300", "calibration=none", small=False
+    )
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ import torch
 from torchdt.app.parallel import num_workers, set_threads, track_in_chunks
 from torchdt.app.settings import TrackSettings
 
+pytestmark = pytest.mark.slow
 JOB = """
 import torch
 from torchdt.app.parallel import num_workers, set_threads

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from oracles.scripts import SMALL, call, configured, load
 
+pytestmark = pytest.mark.slow
 DOCS = Path(__file__).parents[2] / "docs"
 PRESETS = configured("experiment/*.yaml")
 OVERRIDES = 'overrides=["scenario.num_steps=5","tracker.slots=4","tracker.particles=100"]'

@@ -13,6 +13,7 @@ from oracles.scripts import configuration, load
 from torchdt.data.npz import write_npz
 from torchdt.data.recording import validate
 
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
 PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]

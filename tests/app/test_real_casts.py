@@ -14,6 +14,7 @@ from torchdt.field.build import EnvironmentDraw
 from torchdt.run.track import generator, track
 from torchdt.simulation.simulate import simulate_snapshots
 
+pytestmark = pytest.mark.slow
 CAST = 10  # of those that reach 160 m; its high tones do not resemble the nominal ones
 DEPARTURE = EnvironmentDraw(tilt_deg=0.7, water_depth_m=-0.7)
 SEED = 10

@@ -8,6 +8,8 @@ from oracles.arrays import sample_covariance
 from torchdt.data.npz import write_npz
 from torchdt.data.recording import validate
 
+pytestmark = pytest.mark.slow
+
 
 def table(outcome):
     rows = [[float(value) for value in row.values()] for row in outcome.rows("tracks.csv")]

@@ -23,6 +23,7 @@ from torchdt.data.npz import write_npz
 from torchdt.run import keeper
 from torchdt.run.checkpoint import save_checkpoint
 
+pytestmark = pytest.mark.slow
 ALWAYS = "checkpoint_s=1e-9"  # a checkpoint after each step
 ALONE = "memory_gb=1e-6"  # a chunk for each sequence
 POINTS = ("tracker.slots=4", "tracker.particles=100", "tracker.detector.threshold=8")

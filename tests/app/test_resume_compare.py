@@ -21,6 +21,7 @@ from torchdt.app import compare
 from torchdt.filter.config import TrackerConfig
 from torchdt.run.checkpoint import save_checkpoint
 
+pytestmark = pytest.mark.slow
 SMALL = ("scenario.num_steps=20", "tracker.slots=4", "tracker.particles=100", "calibration=none")
 ARGUMENTS = (
     f"overrides={list(SMALL)}",

@@ -1,3 +1,5 @@
+import functools
+
 import numpy as np
 import pytest
 
@@ -14,16 +16,18 @@ def test_same_seed_same_tracks(launch):
     assert first.values == second.values
 
 
+@pytest.mark.slow
 def test_batch_equals_single_runs(launch):
-    together = launch("runs=4", "seed=2", "scenario.num_steps=20")
-    scores = np.reshape(together.scores, (4, -1))
-    assert len({tuple(row) for row in scores}) == 4  # four different sequences
-    for run in range(4):
-        alone = launch(f"seed={2 + run}", "scenario.num_steps=20")
+    together = launch("runs=3", "seed=2", "scenario.num_steps=10")
+    scores = np.reshape(together.scores, (3, -1))
+    assert len({tuple(row) for row in scores}) == 3  # three different sequences
+    for run in range(3):
+        alone = launch(f"seed={2 + run}", "scenario.num_steps=10")
         np.testing.assert_allclose(scores[run], alone.scores, atol=1e-3)
         np.testing.assert_allclose(table(together, run)[:, 1:], table(alone)[:, 1:], rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_chunks_give_the_tracks_of_the_batch(launch):
     whole = launch("runs=3", "workers=1")
     chunked = launch("runs=3", "workers=2", "memory_gb=1e-6", "logging=default", terminal=True)
@@ -48,6 +52,13 @@ def test_sources_are_found(launch):
     assert counts == {("2", "2")}
 
 
+@pytest.fixture(scope="module")
+def nominal(launch):
+    """Tracks of so many steps, without any option."""
+    return functools.cache(lambda steps: launch(f"scenario.num_steps={steps}").rows("tracks.csv"))
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("override", "num_steps"),
     [
@@ -58,29 +69,36 @@ def test_sources_are_found(launch):
         ("tracker.power_max=5", 5),
     ],
 )
-def test_options_run(launch, override, num_steps):
-    length = f"scenario.num_steps={num_steps}"
-    outcome, nominal = launch(length, override), launch(length)
+def test_options_run(launch, nominal, override, num_steps):
+    outcome = launch(f"scenario.num_steps={num_steps}", override)
     assert outcome.status == 0, outcome.err
     assert outcome.values[0] < 5
-    assert outcome.rows("tracks.csv") != nominal.rows("tracks.csv")  # the option does something
+    assert outcome.rows("tracks.csv") != nominal(num_steps)  # the option does something
 
 
+WATERS = (
+    "scenario.num_steps=2",
+    "calibration=none",
+    "tracker.particles=50",
+    "tracker.births=2",
+    "tracker.proposal.rounds=1",
+)
+
+
+@pytest.fixture(scope="module")
+def matched(launch):
+    return launch(*WATERS, small=False).json("metrics.json")
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ["eof_scale=1", "tilt_deg=[0.5,1.0]", "water_depth_m=[1,1]"])
-def test_mismatch_changes_the_data(launch, key):
-    small = (
-        "scenario.num_steps=2",
-        "calibration=none",
-        "tracker.particles=50",
-        "tracker.births=2",
-        "tracker.proposal.rounds=1",
-    )
-    matched = launch(*small, small=False)
-    outcome = launch(*small, f"scenario.mismatch.{key}", small=False)
+def test_mismatch_changes_the_data(launch, matched, key):
+    outcome = launch(*WATERS, f"scenario.mismatch.{key}", small=False)
     assert outcome.status == 0, outcome.err
-    assert outcome.json("metrics.json")["log_likelihood"] != matched.json("metrics.json")["log_likelihood"]
+    assert outcome.json("metrics.json")["log_likelihood"] != matched["log_likelihood"]
 
 
+@pytest.mark.slow
 def test_multirun(launch):
     outcome = launch("-m", "seed=0,1", terminal=True)
     assert outcome.status == 0, outcome.err

@@ -11,6 +11,7 @@ from scipy.io import wavfile
 from torchdt.app.build import build_recording
 from torchdt.core.errors import InputError
 
+pytestmark = pytest.mark.slow
 RATE, STEP_S, SPAN_S = 1500, 0.512, 1024 / 1500
 FREQS, POSITIONS = (100.0, 150.0), tuple(range(0, 40, 5))
 SIZES = ("data.window_length=512", "data.hop=256", "data.snapshots_per_step=3")

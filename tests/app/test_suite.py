@@ -17,6 +17,8 @@ from torchdt.simulation.settings import PathSettings, ScenarioSettings, SourceSe
 from torchdt.simulation.simulate import source_track
 from torchdt.simulation.visibility import hidden_steps
 
+pytestmark = pytest.mark.slow
+
 SUITE = (
     "matched_20",
     "matched_34",

@@ -11,6 +11,7 @@ from torchdt.app.report.tensorboard import LAYOUT, TensorBoardReport
 from torchdt.core.errors import InputError
 from torchdt.run.keeper import ChunkKeeper
 
+pytestmark = pytest.mark.slow
 METRICS = {
     f"hparam/{name}"
     for name in (

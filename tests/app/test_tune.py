@@ -23,6 +23,7 @@ from torchdt.core.errors import InputError
 from torchdt.data.npz import write_npz
 from torchdt.tuning.tracker import TrackerObjective
 
+pytestmark = pytest.mark.slow
 SCRIPT = load("tune")  # it registers the schema of its configuration
 # Support points as in tracking, so that the two can be compared.
 POINTS = ("tracker.power_points=16", "tracker.noise_points=64")

@@ -16,6 +16,7 @@ from torchdt.app.settings import settings_of
 from torchdt.core.errors import InputError
 from torchdt.data.npz import write_npz
 
+pytestmark = pytest.mark.slow
 SCRIPT = load("tune")  # it registers the schema of its configuration
 TRUE, NOMINAL = 40, 15.0
 SHORT = (

@@ -8,6 +8,7 @@ from torchdt.app.tuned import check_tuned
 from torchdt.core.errors import InputError
 from torchdt.model.model import Model
 
+pytestmark = pytest.mark.slow
 VALUES = {"survival": 0.9, "driving_variance": [1e-05, 2.0], "tilt_deg": 0.5, "eof_coefficients": [0.1, -2.0]}
 
 

@@ -7,6 +7,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from torchdt.app.tunable import build_problem
 from torchdt.core.errors import InputError
 
+pytestmark = pytest.mark.slow
 LINE = ("scenario=line_array", "scenario.num_steps=6", "runs=2", "seed=3", "logging=default")
 # Two tones in three snapshots say little: a single step leaves a source at 10 to 20 nats.
 POINTS = (

@@ -17,6 +17,7 @@ from benchmarks.settings import PARTS as PART_NAMES
 from benchmarks.settings import BenchmarkSettings, ProblemSettings, ScalingSettings
 from torchdt.core.errors import InputError
 
+pytestmark = pytest.mark.slow
 DATA = '"scenario=line_array","scenario.num_steps=5"'
 TRACKER = ",".join(f'"{override}"' for override in TRACKER_SMALL if override.startswith("tracker."))
 SMALL = (

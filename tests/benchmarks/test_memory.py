@@ -9,6 +9,8 @@ from benchmarks import memory
 from torchdt.data.recording import validate
 from torchdt.filter.proposal.adapted import Adapted
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_memory_of_a_run_is_that_of_a_fresh_process():
     rows = memory.measure_run_memory(["scenario=line_array", "logging=quiet", *SMALL])

@@ -8,6 +8,8 @@ import torch
 from benchmarks import peers
 from torchdt.core.random import RandomStreams
 
+pytestmark = pytest.mark.slow
+
 
 def kalman(first, measured):
     """Mean position (2,) and log p(z_k | ...) (K,) of one coordinate after another, exactly."""

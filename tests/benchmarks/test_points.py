@@ -9,6 +9,8 @@ from torchdt.baselines.mot.likelihood import GaussianPosition
 from torchdt.baselines.mot.tracker import PointTracker
 from torchdt.model.region import Coordinate, Region
 
+pytestmark = pytest.mark.slow
+
 
 def test_points_are_tracked_while_the_clock_runs():
     rows = measure_points(200, 2, "cpu")

@@ -10,6 +10,7 @@ from torchdt.baselines.detect.sbl import SparseBayesianLearning
 from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.model.measurement import from_snapshots
 
+pytestmark = pytest.mark.slow
 PATHS = (((0.0, -20.0), (20.0, -20.0)), ((0.0, 30.0), (20.0, 30.0)))
 
 

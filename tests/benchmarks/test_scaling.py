@@ -9,6 +9,7 @@ from benchmarks import scaling
 from torchdt.data.recording import validate
 from torchdt.filter.proposal.adapted import Adapted
 
+pytestmark = pytest.mark.slow
 BASE = {"slots": 2, "particles": 20, "tones": 2, "sensors": 5, "snapshots": 3, "batch": 1, "sweeps": 1}
 
 

@@ -11,6 +11,7 @@ from torchdt.core.random import RandomStreams
 from torchdt.data.recording import validate
 from torchdt.filter.proposal.adapted import Adapted
 
+pytestmark = pytest.mark.slow
 PATHS = (((0.0, -20.0), (20.0, -20.0)), ((0.0, 30.0), (20.0, 30.0)))
 PARTS = [
     "field",

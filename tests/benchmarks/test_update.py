@@ -5,6 +5,7 @@ import torch
 
 from benchmarks import update
 
+pytestmark = pytest.mark.slow
 SIZES = {"slots": 3, "particles": 20, "tones": 2, "sensors": 6, "snapshots": 3}
 SIZES |= {"power_points": 4, "noise_points": 5, "sweeps": 2, "batch": 2}
 

@@ -1,12 +1,11 @@
 """A small problem for calibration: the waveguide of the configuration at three tones, two moving sources."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import torch
-from omegaconf import OmegaConf
 from oracles.arrays import complex_normal
+from oracles.waveguide import configured
 from torch import Tensor
 
 from torchdt.field.build import EnvironmentDraw, waveguide
@@ -14,16 +13,13 @@ from torchdt.field.waveguide.family import WaveguideFamily
 from torchdt.field.waveguide.waveguide import NormalModeField
 from torchdt.model.measurement import Measurement, from_snapshots
 
-FIELD = Path(__file__).parents[2] / "conf" / "field" / "swellex96.yaml"
 TONES = (49.0, 148.0, 283.0)
 
 
 @pytest.fixture(scope="session")
 def family() -> WaveguideFamily:
     """Environments of two EOFs, tilt and water depth."""
-    keywords = OmegaConf.to_container(OmegaConf.load(FIELD))
-    del keywords["_target_"]
-    keywords["freqs"] = TONES
+    keywords = configured(freqs=TONES)
 
     def solve(draw: EnvironmentDraw) -> NormalModeField:
         return waveguide(**keywords, draw=draw, dtype=torch.float64)

@@ -1,10 +1,9 @@
 """Calibration does not depend on the defaults of PyTorch."""
 
-from pathlib import Path
-
+import pytest
 import torch
-from omegaconf import OmegaConf
 from oracles.devices import default_dtype, foreign_defaults
+from oracles.waveguide import configured
 
 from torchdt.calibration.environment import Calibration, CalibrationConfig, calibrate
 from torchdt.field.build import EnvironmentDraw, waveguide
@@ -13,14 +12,13 @@ from torchdt.field.waveguide.waveguide import NormalModeField
 from torchdt.model.prior import data_priors
 from torchdt.model.region import Coordinate, Region
 
+pytestmark = pytest.mark.slow
 F64 = torch.float64
-FIELD = Path(__file__).parents[2] / "conf" / "field" / "swellex96.yaml"
 
 
 def test_defaults_of_pytorch_have_no_part_in_calibration(scene):
     """The environment is found, and is the same to the last bit."""
-    keywords = OmegaConf.to_container(OmegaConf.load(FIELD)) | {"freqs": (49.0, 148.0, 283.0)}
-    del keywords["_target_"]
+    keywords = configured(freqs=(49.0, 148.0, 283.0))
     config = CalibrationConfig(enabled=True, steps=2, sources=2, passes=1)
 
     def solve(draw: EnvironmentDraw) -> NormalModeField:

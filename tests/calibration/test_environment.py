@@ -9,6 +9,7 @@ from torchdt.model.measurement import Measurement
 from torchdt.model.prior import data_priors
 from torchdt.model.region import Coordinate, Region
 
+pytestmark = pytest.mark.slow
 F64 = torch.float64
 REGION = Region(
     [
@@ -40,31 +41,22 @@ def test_finds_the_environment_the_data_were_made_in(found, scene):
     assert (found.share <= 0.003).all()
 
 
-def test_same_generator_same_result(family, scene):
-    first, second = (fit(family, scene.measurement, seed=2, steps=3, passes=1) for _ in range(2))
-    assert first.theta.ne(0).all()
-    assert torch.equal(first.theta, second.theta)
-    assert torch.equal(first.share, second.share)
-
-
-@pytest.mark.parametrize("seed", [4, 5])
-def test_a_true_nominal_environment_is_kept_exactly(family, nominal, scene, measure, seed):
-    kept = fit(family, measure(nominal(scene.truth), seed))
+def test_a_true_nominal_environment_is_kept_exactly(family, nominal, scene, measure):
+    kept = fit(family, measure(nominal(scene.truth), 4), steps=4)
     assert torch.equal(kept.theta, torch.zeros(4, dtype=F64))
     assert (kept.share <= 0.003).all()
 
 
-@pytest.mark.parametrize("seed", [6, 7])
-def test_noise_alone_says_nothing(family, nominal, scene, measure, seed):
-    kept = fit(family, measure(0 * nominal(scene.truth), seed))
+def test_noise_alone_says_nothing(family, nominal, scene, measure):
+    kept = fit(family, measure(0 * nominal(scene.truth), 6))
     assert torch.equal(kept.theta, torch.zeros(4, dtype=F64))
     assert torch.equal(kept.share, torch.zeros(3, dtype=F64))
 
 
 def test_share_is_estimated_on_demand_only(family, nominal, scene, measure, scattered):
     data = measure(scattered(nominal, scene.truth, 0.3, seed=1), seed=1)
-    assert (fit(family, data, passes=1).share > 0.05).all()
-    assert fit(family, data, passes=1, share=False).share.eq(0).all()
+    assert (fit(family, data, steps=4, passes=1).share > 0.05).all()
+    assert fit(family, data, steps=4, passes=1, share=False).share.eq(0).all()
 
 
 @pytest.mark.parametrize("first", [0, 1])

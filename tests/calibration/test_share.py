@@ -19,7 +19,7 @@ def test_exact_data_leave_nothing(nominal, tracks, measure, seed):
     assert (mismatch_share(nominal, truth, active, measure(nominal(truth), seed)) <= 0.003).all()
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("share", [0.02, 0.08, 0.3])
 def test_finds_the_share_of_the_simulation(nominal, tracks, measure, scattered, share, seed):
     """Within one point of the grid: 16 steps and two sources of 20 effective dimensions."""
@@ -67,7 +67,7 @@ def test_is_the_grid_point_of_highest_likelihood(nominal, tracks, measure, scatt
     """Every pair of share and noise variance by determinant and solve, powers from plain least squares."""
     truth, active = truth_of(tracks, 4)
     active[1, 1] = False
-    for seed in range(4):
+    for seed in range(2):
         z = measure(scattered(nominal, truth, 0.3, seed) * active[..., None, None], seed)
         snapshots, response, incoherent = z.factor.mT, nominal(truth), nominal.incoherent(truth)
         found = mismatch_share(nominal, truth, active, z)

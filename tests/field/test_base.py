@@ -20,6 +20,7 @@ from torchdt.field.stacked import StackedField
 from torchdt.field.wrapped import CompletedField
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
+from torchdt.model.motion.constant_velocity import ConstantVelocity
 from torchdt.model.region import Coordinate, Region
 from torchdt.run.track import track
 
@@ -176,11 +177,14 @@ def test_a_share_that_cannot_act_is_refused(field, share, words):
         DirectTracker(field, region, 1.0, TrackerConfig(mismatch_share=share))
 
 
-@pytest.mark.parametrize("name", ["mismatch_share", "driving_variance"])
+@pytest.mark.parametrize(
+    ("kind", "key"),
+    [(TrackerConfig, "tracker.mismatch_share"), (ConstantVelocity, "model.motion.driving_variance")],
+)
 @pytest.mark.parametrize("value", [0.1, ["much"], [math.nan], [-0.1]])
-def test_lists_are_lists_of_numbers(name, value):
-    with pytest.raises(InputError, match=f"'tracker.{name}.*': found"):
-        TrackerConfig(**{name: value})
+def test_lists_are_lists_of_numbers(kind, key, value):
+    with pytest.raises(InputError, match=f"'{key}.*': found"):
+        kind(**{key.rpartition(".")[2]: value})
 
 
 def test_what_is_no_field_is_refused():

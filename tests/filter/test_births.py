@@ -22,6 +22,7 @@ from torchdt.model.noise.base import Noise
 from torchdt.model.prior import Priors
 from torchdt.model.region import Coordinate, Region
 
+pytestmark = pytest.mark.slow
 F64 = torch.float64
 ETA, POWER, LIMIT, BIRTH_MEAN, SNAPSHOTS = 0.0125, 0.125, 1.0, 0.1, 3
 FIELD = make_field()

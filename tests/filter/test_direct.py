@@ -110,17 +110,19 @@ def test_estimates_are_as_accurate_as_the_data_allow():
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.slow
 def test_a_batch_equals_single_runs(mixed, dtype):
     tolerance = {"rtol": 1e-6, "atol": 1e-6} if dtype == torch.float64 else {"rtol": 2e-3, "atol": 2e-3}
     seeds = [5, 6, 7, 8]
     together = run(mixed, seeds, dtype)
     counts = together.declared.sum(-1)
     assert [counts[0, -1], counts[1].max(), counts[2, -1], counts[3, 9], counts[3, -1]] == [2, 0, 1, 1, 0]
-    for b, seed in enumerate(seeds):
+    for b, seed in list(enumerate(seeds))[:: 1 if dtype == torch.float64 else 3]:
         alone = run(mixed[b : b + 1], [seed], dtype)
         assert_same(TrackHistory(*(t[b : b + 1] for t in together)), alone, **tolerance)
 
 
+@pytest.mark.slow
 def test_births_in_some_sequences_of_a_batch_leave_each_as_it_is_alone():
     """In two of three sequences a strong source appears beside a known one, which is then placed again."""
     sequences, seeds = [simulate(seed, *ONE)[0] for seed in (11, 12, 13)], [5, 6, 7]
@@ -135,6 +137,7 @@ def test_births_in_some_sequences_of_a_batch_leave_each_as_it_is_alone():
 
 
 def test_a_batch_of_two_dimensions(mixed):
+    mixed = mixed[:, :6]
     flat = run(mixed, [1, 2, 3, 4])
     measurement = from_snapshots(mixed.reshape(2, 2, *mixed.shape[1:]))
     streams = RandomStreams.from_seeds([1, 2, 3, 4], (2, 2), torch.float64)
@@ -144,6 +147,7 @@ def test_a_batch_of_two_dimensions(mixed):
 
 
 def test_without_a_batch_dimension(mixed):
+    mixed = mixed[:, :6]
     measurement = from_snapshots(mixed[0])
     streams = RandomStreams.from_seeds([1], (), torch.float64)
     with torch.inference_mode():
@@ -153,7 +157,7 @@ def test_without_a_batch_dimension(mixed):
 
 
 def test_steps_in_a_loop_equal_a_run(mixed):
-    reported = []
+    mixed, reported = mixed[:, :6], []
     expected = run(mixed[:2], [1, 2], on_step=lambda k, _, estimate: reported.append((k, estimate.noise)))
     tracker, measurement = make_tracker(), from_snapshots(mixed[:2])
     priors, streams = data_priors(measurement), RandomStreams.from_seeds([1, 2], (2,), torch.float64)
@@ -169,11 +173,12 @@ def test_steps_in_a_loop_equal_a_run(mixed):
 
 
 def test_the_same_seed_gives_the_same_numbers(mixed):
-    first, again, other = (run(mixed[:1], [seed]) for seed in (1, 1, 2))
+    first, again, other = (run(mixed[:1, :5], [seed]) for seed in (1, 1, 2))
     assert all(torch.equal(a, b) for a, b in zip(first, again, strict=True))
     assert not torch.equal(first.state, other.state)
 
 
+@pytest.mark.slow
 def test_noise_alone_declares_nothing():
     """At a birth probability of 1e-4 a step only a likelihood ratio above 1e4 is declared, which noise
     exceeds with a probability of 1e-4 at most (Markov). So 2e-3 in a run of 20 steps; four or more of 30
@@ -248,8 +253,7 @@ def test_missing_data_are_taken_in_stride(broken):
         )
 
 
-@pytest.mark.parametrize("step", [0, 7])
-@pytest.mark.parametrize("entry", [complex(math.inf, 0.0), complex(0.0, -math.inf)])
+@pytest.mark.parametrize(("step", "entry"), [(0, complex(math.inf, 0.0)), (7, complex(0.0, -math.inf))])
 def test_infinite_data_count_as_missing(step, entry):
     data, _ = simulate(2, *TWO)
     data[step, 0, 1, 2] = entry
@@ -290,6 +294,7 @@ def test_the_limit_of_the_first_noise_variance_holds():
     assert history.noise.mean() < 0.0095
 
 
+@pytest.mark.slow
 def test_likelihood_power_counts_snapshots(mixed):
     """Estimates are those of so many fewer snapshots; the evidence is that of all of them."""
     blunt = run(mixed[2:3], [1], likelihood_power=0.3)
@@ -336,6 +341,7 @@ def test_some_sequences_have_fields_and_numbers_of_their_own():
     assert torch.equal(part.dictionary.response, tracker.dictionary.response[1:])
 
 
+@pytest.mark.slow
 def test_a_source_keeps_its_label_when_a_louder_one_appears():
     """Another one 20 dB above it, 30 degrees away, from the sixth step on; 24 sequences. While nobody knows
     of that, its energy pulls at the first source; placed again without it, 22 keep their label (else 14)."""

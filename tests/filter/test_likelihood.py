@@ -20,6 +20,7 @@ from torchdt.model.model import stack_models
 from torchdt.model.motion.driving import Reparameterised, Score
 from torchdt.model.prior import data_priors
 
+pytestmark = pytest.mark.slow
 F64 = torch.float64
 MODES = pytest.mark.parametrize("gradient", [Score(), Reparameterised()])
 

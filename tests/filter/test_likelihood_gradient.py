@@ -20,6 +20,7 @@ from torchdt.model.measurement import Measurement, from_snapshots
 from torchdt.model.model import stack_models
 from torchdt.model.motion.driving import Reparameterised, Score
 
+pytestmark = pytest.mark.slow
 F64 = torch.float64
 SMALL = {"particles": 40, "resampler": Systematic(below=0.0)}
 PROPOSALS = pytest.mark.parametrize("proposal", [Adapted(rounds=4, round_size=64), AsPredicted()])
@@ -68,8 +69,7 @@ class StretchedArray(LineArrayField):
 
 
 @PROPOSALS
-@EVIDENCES
-@MODES
+@pytest.mark.parametrize(("evidence", "gradient"), [("sampled", "reparameterised"), ("gaussian", "score")])
 def test_gradient_in_the_field_equals_finite_differences(measurement, proposal, evidence, gradient):
     base = make_tracker(proposal=proposal, evidence=evidence, gradient=gradient, **SMALL)
     stretch = torch.tensor(1.02, dtype=F64, requires_grad=True)

@@ -18,6 +18,7 @@ from torchdt.model.measurement import Measurement, from_snapshots
 from torchdt.model.prior import Priors, data_priors
 
 TWO = (((0.0, -40.0), (20.0, -25.0)), ((0.0, 30.0), (20.0, 20.0)))
+STEPS = 8
 KINDS = ("direct", "paper", "two_step")
 each = pytest.mark.parametrize("kind", KINDS)
 
@@ -37,14 +38,14 @@ def streams(number: int = 2) -> RandomStreams:
 
 @pytest.fixture(scope="module")
 def measurement() -> Measurement:
-    return from_snapshots(torch.stack([simulate(seed, *TWO)[0] for seed in range(2)]))
+    return from_snapshots(torch.stack([simulate(seed, *TWO, steps=STEPS)[0] for seed in range(2)]))
 
 
 @each
 def test_a_stream_gives_the_steps_of_a_run(kind, measurement):
     tracker, priors = build(kind), data_priors(measurement)
     history = tracker.run(measurement, priors, streams())
-    steps = list(tracker.stream((measurement.at(k) for k in range(20)), priors, streams()))
+    steps = list(tracker.stream((measurement.at(k) for k in range(STEPS)), priors, streams()))
     assert history.declared[:, -1].sum(-1).tolist() == [2, 2]
     for parts, expected in zip(zip(*steps, strict=True), history, strict=True):
         torch.testing.assert_close(torch.stack(parts, 1), expected, rtol=0, atol=0, equal_nan=True)
@@ -71,12 +72,12 @@ def test_a_stream_waits_for_the_data(kind, measurement):
 @each
 @torch.inference_mode()
 def test_a_stream_keeps_nothing(kind, measurement):
-    """As many tensors are alive after 50 steps as after five."""
+    """As many tensors are alive after 20 steps as after five."""
     alive = []
-    endless = (Measurement(*(t[:, k % 20].clone() for t in measurement)) for k in range(50))
+    endless = (Measurement(*(t[:, k % STEPS].clone() for t in measurement)) for k in range(20))
     priors = Priors(*data_priors(measurement))
     for k, _ in enumerate(build(kind).stream(endless, priors, streams())):
-        if k in (5, 49):
+        if k in (5, 19):
             gc.collect()
             alive.append(sum(issubclass(type(thing), Tensor) for thing in gc.get_objects()))
     assert alive[0] == alive[1]
@@ -91,5 +92,5 @@ def test_a_run_reports_every_step(kind, measurement):
         streams(),
         lambda k, _, estimate: reported.append((k, estimate)),
     )
-    assert [k for k, _ in reported] == list(range(20))
+    assert [k for k, _ in reported] == list(range(STEPS))
     assert all(torch.equal(estimate.label, history.label[:, k]) for k, estimate in reported)

@@ -1,5 +1,6 @@
 """Exact marginals of two potential objects on grids, by summing over every configuration (NumPy, float64)."""
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,18 +65,16 @@ def enumerate_pair(p: Problem) -> Marginals:
     """Sum over r1, r2, x1, x2, both powers and the noise of every tone."""
     shapes = [r.shape[0] for r in p.response]
     joint = np.zeros((2, 2, *shapes))
-    for i in range(p.scatter.shape[0]):
-        for r1 in (0, 1):
-            for r2 in (0, 1):
-                for x1 in range(shapes[0]):
-                    a1 = p.response[0][x1, i][None, None, None, None]
-                    a2 = p.response[1][:, i][:, None, None, None]
-                    g = p.power[i]
-                    like = log_likelihood_pair(
-                        a1, a2, r1 * g[:, None, None], r2 * g[:, None], p.noise[i], p.scatter[i], p.count
-                    )
-                    weight = p.log_power[i][:, None, None] + p.log_power[i][:, None] + p.log_noise[i]
-                    joint[r1, r2, x1] += _logsumexp(like + weight, axis=(1, 2, 3))
+    for i, r1, r2 in itertools.product(range(p.scatter.shape[0]), (0, 1), (0, 1)):
+        a2 = p.response[1][: None if r2 else 1, i][:, None, None, None]
+        g = p.power[i]
+        weight = p.log_power[i][:, None, None] + p.log_power[i][:, None] + p.log_noise[i]
+        for x1 in range(shapes[0] if r1 else 1):  # an absent object is the same in every state
+            a1 = p.response[0][x1, i][None, None, None, None]
+            like = log_likelihood_pair(
+                a1, a2, r1 * g[:, None, None], r2 * g[:, None], p.noise[i], p.scatter[i], p.count
+            )
+            joint[r1, r2, x1 if r1 else slice(None)] += _logsumexp(like + weight, axis=(1, 2, 3))
     for n, axis in ((0, 2), (1, 3)):
         shape = [1, 1, 1, 1]
         shape[axis] = -1

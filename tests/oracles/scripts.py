@@ -12,6 +12,7 @@ from types import ModuleType
 from unittest import mock
 
 from hydra import compose, initialize_config_module
+from hydra._internal.hydra import Hydra
 
 from laboratory import CONF as LABORATORY
 from torchdt.app.search_path import configuration_from
@@ -76,6 +77,7 @@ def call(
     status = 0
     with (
         same_logging(),
+        mode_of_arguments(arguments),
         mock.patch.object(sys, "argv", [script.__file__, *arguments]),
         mock.patch.dict(os.environ, {"HYDRA_FULL_ERROR": str(int(full_error))}),
         contextlib.redirect_stdout(out),
@@ -100,3 +102,13 @@ def same_logging() -> Iterator[None]:
             handler.close()
         root.handlers[:] = handlers
         root.setLevel(level)
+
+
+def mode_of_arguments(arguments: tuple[str, ...]) -> contextlib.AbstractContextManager:
+    """Keep Hydra from composing everything once more for `hydra.mode`, which `-m` says already.
+
+    That is a third of the time of a small run. Experiments and configurations of one's own may set the mode.
+    """
+    if any("experiment=" in argument or "--config" in argument for argument in arguments):
+        return contextlib.nullcontext()
+    return mock.patch.object(Hydra, "get_mode", return_value=None)

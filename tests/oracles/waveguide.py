@@ -1,6 +1,11 @@
-"""A small waveguide problem: 100 m of water, 2 tones, a vertical array of 11 sensors."""
+"""A small waveguide: 100 m of water, 2 tones, a vertical array of 11 sensors; and the configured one."""
+
+from pathlib import Path
+from typing import Any
 
 import torch
+import torchdt.conf
+from omegaconf import OmegaConf
 from torch import Tensor
 
 from torchdt.field import Environment, HalfSpace, Layer
@@ -26,3 +31,12 @@ def make_field(dtype: torch.dtype, device: str = "cpu", tilt: float | Tensor = 0
 def make_region(dtype: torch.dtype, device: str = "cpu") -> Region:
     """16 x 15 cells."""
     return Region(COORDINATES, dtype, device)
+
+
+def configured(**changes: Any) -> dict[str, Any]:
+    """Keywords of `torchdt.field.build.waveguide` as `field=swellex96` has them, but for the changes."""
+    keywords = OmegaConf.to_container(
+        OmegaConf.load(Path(torchdt.conf.__file__).parent / "field/swellex96.yaml")
+    )
+    del keywords["_target_"]
+    return keywords | changes

@@ -7,6 +7,7 @@ import pytest
 from oracles.scripts import SMALL, call, load
 from oracles.tart import sky, write_sky
 
+pytestmark = pytest.mark.slow
 FILES = (
     "metrics.json",
     "gospa.csv",

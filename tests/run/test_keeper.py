@@ -1,5 +1,7 @@
 """Tracking that goes on from what was kept, as if it had never stopped."""
 
+import shutil
+
 import pytest
 import torch
 from oracles.line_array import make_field, make_region, make_tracker, simulate
@@ -14,6 +16,7 @@ from torchdt.run.chunks import bytes_per_sequence
 from torchdt.run.keeper import Keeper
 from torchdt.run.track import track
 
+pytestmark = pytest.mark.slow
 SEEDS, STEPS, FINGERPRINT = [7, 8, 9], 6, {"seed": 7}
 TWO = (((0.0, -40.0), (20.0, -25.0)), ((0.0, 30.0), (20.0, 20.0)))
 KINDS = ("direct", "two_step")
@@ -86,7 +89,7 @@ def equal(found, expected):
 
 
 @both
-@pytest.mark.parametrize("step", range(STEPS))
+@pytest.mark.parametrize("step", [0, 3, STEPS - 1])
 def test_interrupted_at_any_step(tmp_path, recording, whole, kind, step):
     """The chunks of the interrupted run are kept, although the memory would now hold all sequences."""
     interrupt(tmp_path, recording, kind, 1, step)
@@ -160,6 +163,20 @@ def one(recording):
     return recording.select(slice(0, 1))
 
 
+@pytest.fixture(scope="module")
+def tracked(one, tmp_path_factory):
+    """What is kept of one sequence that was tracked to its end."""
+    directory = tmp_path_factory.mktemp("tracked")
+    track(one, build("direct"), [7], keep=keeper(directory))
+    return directory
+
+
+@pytest.fixture
+def kept(tracked, tmp_path):
+    """A copy of it, to be changed."""
+    return shutil.copytree(tracked, tmp_path / "kept")
+
+
 @pytest.mark.parametrize(("every_s", "number"), [(1e-9, STEPS), (1e9, 1)])
 def test_time_says_when_to_write_and_the_end_always_does(tmp_path, one, every_s, number):
     """What goes to the disk before comes before."""
@@ -212,16 +229,14 @@ def test_the_time_of_chunks_that_were_tracked_together_counts_once(tmp_path, mon
     assert second.seconds == 200 + 100
 
 
-def test_another_run(tmp_path, one):
-    track(one, build("direct"), [7], keep=keeper(tmp_path))
+def test_another_run(kept, one):
     with pytest.raises(InputError, match=r"key 'seed': found 8, expected 7, as in .*plan.pt; another folder"):
-        track(one, build("direct"), [7], keep=Keeper(tmp_path, {"seed": 8}))
+        track(one, build("direct"), [7], keep=Keeper(kept, {"seed": 8}))
 
 
-def test_the_state_of_another_tracker(tmp_path, one):
-    track(one, build("direct"), [7], keep=keeper(tmp_path))
+def test_the_state_of_another_tracker(kept, one):
     with pytest.raises(InputError, match=r"0-0.pt'.*content.state: 3 entries, expected 2 entries; another"):
-        track(one, build("two_step"), [7], keep=keeper(tmp_path))
+        track(one, build("two_step"), [7], keep=keeper(kept))
 
 
 def changed(place, value):
@@ -262,23 +277,21 @@ def changed(place, value):
         ("0-0.pt", ["streams", 0], lambda t: t[:9], r"content.streams.0: a tensor \(9,\) of uint8"),
     ],
 )
-def test_content_that_is_not_what_this_tracker_keeps(tmp_path, one, name, place, value, words):
+def test_content_that_is_not_what_this_tracker_keeps(kept, one, name, place, value, words):
     """With the right fingerprint: one error says where it differs and what to do."""
-    track(one, build("direct"), [7], keep=keeper(tmp_path))
-    stored = torch.load(tmp_path / name, weights_only=True)
+    stored = torch.load(kept / name, weights_only=True)
     changed(place, value)(stored["content"])
-    torch.save(stored, tmp_path / name)
+    torch.save(stored, kept / name)
     with pytest.raises(InputError, match=rf"{name}': found .*{words}.*; another folder starts anew"):
-        track(one, build("direct"), [7], keep=keeper(tmp_path))
+        track(one, build("direct"), [7], keep=keeper(kept))
 
 
 @pytest.mark.parametrize("name", ["plan.pt", "0-0.pt"])
-def test_part_of_a_file(tmp_path, one, name):
-    track(one, build("direct"), [7], keep=keeper(tmp_path))
-    content = (tmp_path / name).read_bytes()
-    (tmp_path / name).write_bytes(content[: len(content) // 2])
+def test_part_of_a_file(kept, one, name):
+    content = (kept / name).read_bytes()
+    (kept / name).write_bytes(content[: len(content) // 2])
     with pytest.raises(InputError, match=rf"{name}'.*expected a complete checkpoint of 'tracking'"):
-        track(one, build("direct"), [7], keep=keeper(tmp_path))
+        track(one, build("direct"), [7], keep=keeper(kept))
 
 
 def test_a_full_disk(tmp_path, recording, whole):

@@ -17,13 +17,14 @@ from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.run.chunks import bytes_per_sequence
 from torchdt.run.track import derive_seed, generator, track
 
+pytestmark = pytest.mark.slow
 SEEDS, SPEEDS, POISON = [7, 8, 9, 10, 11], (1500.0, 1480.0, 1520.0, 1500.0, 1490.0), 1234.5
 TWO = (((0.0, -40.0), (20.0, -25.0)), ((0.0, 30.0), (20.0, 20.0)))
 
 
 @pytest.fixture(scope="module")
 def snapshots() -> torch.Tensor:
-    return torch.stack([simulate(seed, *TWO)[0] for seed in (1, 2)])
+    return torch.stack([simulate(seed, *TWO, steps=8)[0] for seed in (1, 2)])
 
 
 def record(snapshots: torch.Tensor) -> Recording:
@@ -42,10 +43,14 @@ def assert_same_tracks(found: TrackHistory, expected: TrackHistory, **tolerance)
     torch.testing.assert_close(found.state[alive], expected.state[alive], **tolerance)
 
 
-@pytest.mark.parametrize("unit", [1e-20, 1e-3, 7.3, 1e6, 1e20])
-def test_units_change_nothing_but_the_units(snapshots, unit):
-    tracker = make_tracker()
-    one, other = track(record(snapshots), tracker, [1, 2]), track(record(unit * snapshots), tracker, [1, 2])
+@pytest.fixture(scope="module")
+def one(snapshots) -> TrackHistory:
+    return track(record(snapshots), make_tracker(), [1, 2])
+
+
+@pytest.mark.parametrize("unit", [1e-20, 7.3, 1e20])
+def test_units_change_nothing_but_the_units(snapshots, one, unit):
+    other = track(record(unit * snapshots), make_tracker(), [1, 2])
     assert one.declared[:, -1].sum() == 4
     assert_same_tracks(other, one, rtol=1e-6, atol=1e-6)
     alive = one.existence > 0
@@ -56,7 +61,7 @@ def test_units_change_nothing_but_the_units(snapshots, unit):
     torch.testing.assert_close(other.log_evidence + jacobian, one.log_evidence, rtol=1e-6, atol=1e-5)
 
 
-@pytest.mark.parametrize("unit", [7.3e5, 1e25, 1e-25, 1e140])
+@pytest.mark.parametrize("unit", [1e25, 1e-25, 1e140])
 def test_units_in_single_precision(snapshots, unit):
     """Powers in squared units, which single precision does not hold, are in double."""
     tracker = make_tracker(torch.float32)
@@ -100,8 +105,7 @@ def test_limits_of_the_priors_are_in_units_of_the_data(snapshots):
     torch.testing.assert_close(limit, torch.full_like(limit, 9.0 * unit**2))
 
 
-@pytest.mark.parametrize("unit", [1.0, 3e4])
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize(("dtype", "unit"), [(torch.float64, 3e4), (torch.float32, 1.0)])
 def test_covariances_say_the_same_as_their_snapshots(snapshots, dtype, unit):
     tracker = make_tracker(dtype)
     covariance = unit**2 * sample_covariance(snapshots)
@@ -131,8 +135,7 @@ def test_each_sequence_has_its_own_scale(snapshots):
         torch.testing.assert_close(together.noise[b], alone.noise[0], rtol=1e-6, atol=0)
 
 
-@pytest.mark.parametrize("dead", [1, 3])
-def test_a_dead_recording_beside_a_good_one(snapshots, dead):
+def test_a_dead_recording_beside_a_good_one(snapshots):
     broken = snapshots.clone()
     broken[1] = torch.nan
     history = track(record(broken), make_tracker(), [1, 2])
@@ -181,10 +184,16 @@ def gigabytes(tracker: DirectTracker, recording: Recording, sequences: int) -> f
     return (sequences + 0.5) * bytes_per_sequence(tracker, recording) / 1e9
 
 
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-@pytest.mark.parametrize("fields", ["shared", "own"])
-@pytest.mark.parametrize(("at_once", "workers"), [(1, 1), (2, 1), (4, 2), (5, 3)])
-def test_neither_chunks_nor_workers_change_the_tracks(five, own_fields, dtype, fields, at_once, workers):
+@pytest.mark.parametrize(
+    ("at_once", "workers", "fields", "dtype"),
+    [
+        (1, 1, "shared", torch.float64),
+        (2, 1, "own", torch.float64),
+        (4, 2, "own", torch.float32),
+        (5, 3, "shared", torch.float32),
+    ],
+)
+def test_neither_chunks_nor_workers_change_the_tracks(five, at_once, workers, fields, dtype):
     tracker = make_tracker(dtype)
     if fields == "own":
         stack = StackedField([LineArrayField(FREQS, POSITIONS, c, dtype=dtype) for c in SPEEDS])

@@ -4,6 +4,8 @@ from oracles.scripts import call, load
 from studies.curves import Curve, curves_figure, read_curve
 from torchdt.core.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def runs(tmp_path):

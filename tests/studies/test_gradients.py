@@ -4,6 +4,8 @@ import math
 import pytest
 from oracles.scripts import call, load
 
+pytestmark = pytest.mark.slow
+
 SMALL = ("train_seeds=[3,4]", "scenario.num_steps=6", "tracker.particles=60", "model.birth.birth_mean=0.1")
 
 

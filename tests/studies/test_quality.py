@@ -11,6 +11,8 @@ from torchdt.app import compare
 from torchdt.app.report.scores import Quality
 from torchdt.core.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 
 def launch(directory):
     """A suite with a scenario that does not exist in the middle: exit status, output and rows."""

@@ -21,6 +21,8 @@ from torchdt.baselines.detect.config import PursuitConfig
 from torchdt.baselines.two_step import TwoStepConfig
 from torchdt.core.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 REGION = make_region()
 CONFIG = TwoStepConfig(
     detection_probability=0.8,

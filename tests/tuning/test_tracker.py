@@ -12,6 +12,7 @@ from torchdt.run.track import derive_seed
 from torchdt.tuning.sequences import stack_recordings
 from torchdt.tuning.tracker import TrackerFamily, TrackerObjective
 
+pytestmark = pytest.mark.slow
 PATH = ((0.0, -20.0), (10.0, -15.0))
 
 

@@ -31,7 +31,7 @@ def build_field(target: dict[str, Any], dtype: torch.dtype, device: str, **overr
 
 
 def build_model(settings: Mapping[str, Any]) -> Model:
-    """Instantiate the statistical model from its configuration group.
+    """Instantiate the statistical model from its group; parts that it does not name are the default.
 
     Raises:
         InputError: where a part is not one, see `build`; where a key is unknown, or a number out of range.
@@ -39,22 +39,25 @@ def build_model(settings: Mapping[str, Any]) -> Model:
     known = {*PROTOCOLS, *Model().quantities()}
     for name in settings:
         require(name in known, f"model.{name}", "an unknown key", f"one of {sorted(known)}")
-    parts = {name: build(f"model.{name}", settings[name], kind) for name, kind in PROTOCOLS.items()}
+    chosen = {name: kind for name, kind in PROTOCOLS.items() if name in settings}
+    parts = {name: build(f"model.{name}", settings[name], kind) for name, kind in chosen.items()}
     return Model(**{**settings, **parts})
 
 
 def build_config(settings: Config) -> Config:
-    """Settings of a tracker, with its parts instantiated from their configuration groups.
+    """Settings of a tracker, with its parts instantiated from their groups; None is the default.
 
     Raises:
         InputError: where a part is not one, see `build`.
     """
     parts = {name: getattr(settings, name) for name in settings.part_names()}
+    chosen = {name: part for name, part in parts.items() if part is not None}
     built = {
         name: part if isinstance(part, PARTS[name]) else build(f"tracker.{name}", part, PARTS[name])
-        for name, part in parts.items()
+        for name, part in chosen.items()
     }
-    return dataclasses.replace(settings, **built)
+    default = type(settings)()
+    return dataclasses.replace(settings, **{name: built.get(name, getattr(default, name)) for name in parts})
 
 
 def without_parts(settings: Config) -> Config:

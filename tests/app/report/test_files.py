@@ -11,6 +11,8 @@ from torchdt.app.report import files
 from torchdt.model.model import Model
 from torchdt.model.motion.constant_velocity import ConstantVelocity
 
+pytestmark = pytest.mark.slow
+
 
 def rows(path):
     with path.open(newline="") as file:

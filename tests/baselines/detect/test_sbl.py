@@ -17,6 +17,7 @@ from torchdt.filter.proposal.dictionary import Dictionary, build_dictionary
 from torchdt.model.measurement import Measurement, from_covariance, from_snapshots
 from torchdt.model.region import Coordinate, Region
 
+pytestmark = pytest.mark.slow
 FIELD, REGION = make_field(), make_region()
 DICTIONARY = build_dictionary(FIELD, REGION)
 CELLS = (15, 42, 60)  # bearings -39, 15 and 51 degrees
@@ -188,10 +189,11 @@ def test_pruning_does_not_move_the_peaks():
 
 def test_in_a_batch_as_alone():
     z = simulate(*CELLS, noise=0.5, snapshots=3, steps=4)
-    together = detector()(from_snapshots(z))
-    nested = detector()(from_snapshots(z.reshape(2, 2, *z.shape[1:])))
+    learner = detector(max_iterations=40)
+    together = learner(from_snapshots(z))
+    nested = learner(from_snapshots(z.reshape(2, 2, *z.shape[1:])))
     for step in range(4):
-        alone = detector()(from_snapshots(z[step]))
+        alone = learner(from_snapshots(z[step]))
         for name, value in alone._asdict().items():
             torch.testing.assert_close(value, getattr(together, name)[step])
             torch.testing.assert_close(value, getattr(nested, name)[step // 2, step % 2])
@@ -213,7 +215,7 @@ def test_a_field_for_each_sequence():
 
 def test_the_unit_of_the_data_does_not_matter():
     z = simulate(*CELLS, noise=0.1)
-    points, scaled = (detector()(from_snapshots(z * unit)) for unit in (1.0, 1e-4))
+    points, scaled = (detector(max_iterations=40)(from_snapshots(z * unit)) for unit in (1.0, 1e-4))
     torch.testing.assert_close(scaled.position, points.position)
     torch.testing.assert_close(scaled.strength, points.strength)
     torch.testing.assert_close(scaled.power, 1e-8 * points.power)
@@ -221,8 +223,8 @@ def test_the_unit_of_the_data_does_not_matter():
 
 def test_covariances_say_the_same_as_snapshots():
     z = simulate(*CELLS, noise=0.1)
-    points = detector()(from_snapshots(z))
-    same = detector()(from_covariance(z.mT @ z.conj() / z.shape[-2], z.shape[-2]))
+    points = detector(max_iterations=40)(from_snapshots(z))
+    same = detector(max_iterations=40)(from_covariance(z.mT @ z.conj() / z.shape[-2], z.shape[-2]))
     torch.testing.assert_close(same.position, points.position)
     torch.testing.assert_close(same.strength, points.strength)
 

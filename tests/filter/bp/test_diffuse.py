@@ -1,15 +1,14 @@
 """BP with responses that are known only in part: what a model leaves of a strong source is no object."""
 
 import math
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 import torch
-from omegaconf import OmegaConf
 from oracles.arrays import complex_normal
 from oracles.scenes import make_scene
+from oracles.waveguide import configured
 
 from torchdt.core.trees import select
 from torchdt.field.build import waveguide
@@ -22,7 +21,6 @@ from torchdt.model.measurement import from_snapshots
 from torchdt.model.noise.base import Noise
 
 F64, C128 = torch.float64, torch.complex128
-FIELD = Path(__file__).parents[3] / "conf" / "field" / "swellex96.yaml"
 TONES, SNAPSHOTS, SHARE = (49.0, 148.0, 283.0), 3, 0.15
 SOURCE, OTHER = (2812.0, 57.0), (3325.0, 41.0)
 SCHEDULES = pytest.mark.parametrize("schedule", [Sequential(), Flooding()])
@@ -39,9 +37,9 @@ class Pair(NamedTuple):
 
 @pytest.fixture(scope="module")
 def field() -> MismatchedField:
-    keywords = OmegaConf.to_container(OmegaConf.load(FIELD)) | {"freqs": TONES}
-    del keywords["_target_"]
-    return MismatchedField(waveguide(**keywords, dtype=F64), torch.full((3,), SHARE, dtype=F64))
+    return MismatchedField(
+        waveguide(**configured(freqs=TONES), dtype=F64), torch.full((3,), SHARE, dtype=F64)
+    )
 
 
 @pytest.fixture(scope="module")

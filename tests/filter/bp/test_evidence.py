@@ -64,7 +64,7 @@ def test_gaussian_with_objects_is_that_of_matched_moments():
     assert np.isfinite(expected.item())
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("case", UNAMBIGUOUS)
 def test_sampled_equals_exact_enumeration(case, seed):
     """Over 100 runs of 64 configurations: bias below 0.1, deviation below 0.3 nats; both are three times what
@@ -76,7 +76,7 @@ def test_sampled_equals_exact_enumeration(case, seed):
     assert gaussian_evidence(predicted(scene), scene.measurement) < exact.log_evidence - 50
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_one_labelling_of_two_misses_half_of_the_evidence(seed):
     """Two objects that may change places, of which BP settles for one arrangement."""
     scene, exact = unambiguous("two in the same region", seed)

@@ -33,7 +33,7 @@ def infer(scene: Scene, sweeps: int = 3, schedule: Schedule = SEQUENTIAL):
     return torch.sigmoid(beliefs.objects.log_odds).numpy(), beliefs.objects.log_weight.exp().numpy()
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("case", UNAMBIGUOUS)
 def test_sequential_matches_exact_enumeration(case, seed):
     truth, _, regions = UNAMBIGUOUS[case]

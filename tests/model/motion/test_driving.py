@@ -8,6 +8,7 @@ from torch.distributions import Normal
 from torchdt.core.resampling import stop_gradient_weights
 from torchdt.model.motion.driving import Reparameterised, Score, drive
 
+pytestmark = pytest.mark.slow
 F64 = torch.float64
 STEPS, PARTICLES, RUNS, SEED = 50, 2000, 128, 1
 THETA = torch.tensor([0.7, 0.2], dtype=F64).log()  # log q, log r; the data come from q = 1, r = 0.15
