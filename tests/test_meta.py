@@ -100,7 +100,6 @@ def test_predictions(dtype):
     def blank(*shape: int) -> Tensor:
         return torch.empty(shape, dtype=dtype, device=META)
 
-    num_considered = torch.empty(3, dtype=torch.int64, device=META)
     birth, region = UniformBirth(blank(3)), make_region(dtype, "meta")
     moments = predict_moments(blank(3, 4), blank(3, 4, 4), 2.0, blank(3, 2))
     assert_meta(
@@ -108,8 +107,12 @@ def test_predictions(dtype):
             (3, 5, 4): predict_state(blank(3, 5, 4), blank(3, 5, 2), 2.0),
             (3, 4): moments[0],
             (3, 4, 4): moments[1],
-            (3,): (birth.log_odds(region), birth.log_none(region, num_considered)),
-            (3, 6): (predict_log_odds(blank(3, 6), 0.9), predict_log_odds(blank(3, 6), blank(3, 1))),
+            (3,): (birth.log_none(region, blank(3, 5)),),
+            (3, 6): (
+                birth.log_odds(region, blank(3, 6, 1)),
+                predict_log_odds(blank(3, 6), 0.9),
+                predict_log_odds(blank(3, 6), blank(3, 1)),
+            ),
             (3, 6, 9): predict_chain(blank(3, 6, 9), blank(3, 6, 9), 1e4),
         },
         dtype,

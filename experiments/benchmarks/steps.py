@@ -97,8 +97,8 @@ def forward_parts(
     cfg, field, region, noise = tracker.config, tracker.field, tracker.region, state.noise
     draws = tracker.draw(streams)
     tempered = measurement.tempered(widen(tracker.model.likelihood_power, 1))
-    born = tracker.model.birth.log_odds(region)
-    placer = Placer(field, region, tracker.dictionary, cfg, tracker.model, born)
+    born = tracker.model.birth.log_odds(region, tracker.dictionary.points[None]).amax(-1)
+    placer = Placer(field, region, tracker.dictionary, cfg, tracker.model)
 
     predicted = tracker.predict(state, draws.driving)
     placing = (predicted, noise, tempered, priors, draws.known, draws.newborn, draws.picks)
@@ -133,7 +133,7 @@ def forward_parts(
     if picks is None:
         raise InputError.of_key("overrides", "a step in which nothing is found", "data with a source")
     model = tracker.model
-    found = (picks, explained, priors.power_max, model, cfg.power_points, born, draws.newborn)
+    found = (picks, explained, priors.power_max, model, cfg.power_points, draws.newborn)
 
     particles, log_weight = placed.objects.state, beliefs.objects.log_weight
     always = Systematic(below=1.0)

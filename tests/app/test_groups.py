@@ -22,7 +22,10 @@ from torchdt.run.track import track
 
 pytestmark = pytest.mark.slow
 SHORT = ("scenario.num_steps=2", "logging=quiet")
-GIVEN = {("model/noise", "coloured"): (f"model.noise.matrix={torch.eye(8).tolist()}",)}
+GIVEN = {
+    ("model/noise", "coloured"): (f"model.noise.matrix={torch.eye(8).tolist()}",),
+    ("model/birth", "areas"): ("model.birth.areas=[{low: [-70], high: [0]}]",),
+}
 """What parts of the model have no default for, on the line array."""
 PLANE = {("model/motion", "constant_turn")}
 """Parts for two coordinates."""

@@ -178,8 +178,7 @@ class DirectTracker(Tracker[TrackerState]):
         # that goes on keeps its support points.
         noise = model.noise.resolvable(state.noise, measurement, priors)
         predicted = self.predict(state._replace(noise=noise), draws.driving)
-        born = model.birth.log_odds(self.region)
-        placer = Placer(self.field, self.region, self.dictionary, cfg, model, born)
+        placer = Placer(self.field, self.region, self.dictionary, cfg, model)
         current = placer.place(predicted, noise, tempered, priors, draws.known, draws.newborn, draws.picks)
         beliefs = update(
             current.objects,

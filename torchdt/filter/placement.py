@@ -1,6 +1,7 @@
 """Where the particles of a step are: known objects moved to the data, new ones found in what these leave."""
 
 import copy
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -19,6 +20,7 @@ from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement
 from torchdt.model.model import Model
 from torchdt.model.noise.base import Noise
+from torchdt.model.part import widen
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
 
@@ -32,7 +34,6 @@ class Placer:
         dictionary: responses on the region's grid.
         config: settings of the filter.
         model: statistical model.
-        birth_log_odds: of a new object in one cell, `(*batch,)`.
     """
 
     def __init__(
@@ -42,10 +43,9 @@ class Placer:
         dictionary: Dictionary,
         config: TrackerConfig,
         model: Model,
-        birth_log_odds: Tensor,
     ):
         self.field, self.region, self.dictionary = field, region, dictionary
-        self.config, self.model, self.birth_log_odds = config, model, birth_log_odds
+        self.config, self.model = config, model
 
     def place(
         self,
@@ -69,7 +69,9 @@ class Placer:
         """
         cfg = self.config
         first = self._place_known(predicted, predicted.beliefs, measurement, known)
+        log_odds = partial(self.model.birth.log_odds, self.region)
         with torch.no_grad():
+            top = log_odds(self.dictionary.points.expand(*noise.mean.shape[:-1], -1, -1)).amax(-1)
             picks, explained = search(
                 self.field,
                 self.region,
@@ -78,9 +80,10 @@ class Placer:
                 signal_covariance(first.beliefs.strength, first.beliefs.moment),
                 noise,
                 cfg.slots - predicted.objects.log_odds.isfinite().sum(-1),
-                cfg.pick_threshold(self.birth_log_odds),
+                cfg.pick_threshold(top),
                 rounds,
                 proposal=cfg.proposal,
+                favour=lambda position: log_odds(position) - widen(top, position.ndim - 1 - top.ndim),
                 noise_model=self.model.noise,
             )
         explained = Noise(*(t.detach() for t in explained))
@@ -147,7 +150,6 @@ class Placer:
             priors.power_max,
             self.model,
             cfg.power_points,
-            self.birth_log_odds,
             draws,
             proposal=cfg.proposal,
         )

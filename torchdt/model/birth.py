@@ -9,7 +9,7 @@ from torch.distributions import constraints
 
 from torchdt.core.ranges import TINY, Range
 from torchdt.core.support import Support
-from torchdt.model.part import Number, Part, number
+from torchdt.model.part import Number, Part, number, widen
 from torchdt.model.region import Region
 
 MEAN = Support(Range("a positive number", low=0, open_low=True, least=TINY, most=1e4), constraints.positive)
@@ -20,16 +20,24 @@ MEAN = Support(Range("a positive number", low=0, open_low=True, least=TINY, most
 class Birth(Protocol):
     """Where new objects begin, and with what odds."""
 
-    def log_odds(self, region: Region) -> Tensor:
-        """Log-odds of a new object in one cell of the region, `(*batch,)`."""
-        ...
-
-    def log_none(self, region: Region, num_considered: Tensor) -> Tensor:
-        """Log-probability that nothing is born in the cells that are not looked at.
+    def log_odds(self, region: Region, position: Tensor) -> Tensor:
+        """Log-odds of a new object in one cell around positions; minus infinity where nothing is born.
 
         Args:
             region: region of interest.
-            num_considered: `(*batch,)` number of cells in which a new object is considered.
+            position: `(*batch, ..., d)`.
+
+        Returns:
+            `(*batch, ...)`: the density of new objects, times the volume of a cell.
+        """
+        ...
+
+    def log_none(self, region: Region, log_odds: Tensor) -> Tensor:
+        """Log-probability that nothing is born in the cells that are not looked at, `(*batch,)`.
+
+        Args:
+            region: region of interest.
+            log_odds: `(*batch, Q)` in the cells in which a new object is considered; minus infinity for none.
         """
         ...
 
@@ -54,11 +62,12 @@ class UniformBirth(Part):
 
     birth_mean: Number = number(1e-4, MEAN)
 
-    def log_odds(self, region: Region) -> Tensor:
+    def log_odds(self, region: Region, position: Tensor) -> Tensor:
         """`p = mu / (mu + 1)` with `mu = mu_B / Q`, so `log mu`."""
-        return torch.log(self.birth_mean / region.num_cells)
+        log_mean = torch.log(self.birth_mean / region.num_cells)
+        return widen(log_mean, position.ndim - 1 - log_mean.ndim).expand(position.shape[:-1])
 
-    def log_none(self, region: Region, num_considered: Tensor) -> Tensor:
+    def log_none(self, region: Region, log_odds: Tensor) -> Tensor:
         """`-(Q - n) log(1 + mu)`, with n the number of cells that are looked at."""
         cells = region.num_cells
-        return (num_considered - cells) * torch.log1p(self.birth_mean / cells)
+        return (log_odds.isfinite().sum(-1) - cells) * torch.log1p(self.birth_mean / cells)

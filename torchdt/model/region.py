@@ -222,6 +222,14 @@ class Region:
         ]
         return torch.cartesian_prod(*axes).reshape(-1, self.num_coordinates)
 
+    def cell_of(self, position: Tensor) -> Tensor:
+        """Cell of the grid that holds, or is nearest to, positions `(*batch, d)`, `(*batch,)` int64."""
+        index = ((self.wrap(position) - self.low) / self.cell).floor().long()
+        cell = torch.zeros_like(index[..., 0])
+        for along, num in zip(index.unbind(-1), self.grid_shape, strict=True):
+            cell = cell * num + along.clamp(0, num - 1)
+        return cell
+
     def contains(self, state: Tensor) -> Tensor:
         """Whether positions lie in the region, `(*batch, D)` to `(*batch,)` bool."""
         state = self.wrap(state)

@@ -25,8 +25,7 @@ from torchdt.model.region import Coordinate, Region
 
 F64 = torch.float64
 ETA, SNAPSHOTS, THRESHOLD, PICKS = 0.0125, 6, 9.0, 4
-ODDS = torch.tensor(-10.0, dtype=F64)
-FIELD, REGION, MODEL = make_field(), make_region(), Model()
+FIELD, REGION, MODEL = make_field(), make_region(), Model().on(make_region())
 DICTIONARY = build_dictionary(FIELD, REGION)
 
 
@@ -139,10 +138,11 @@ def test_evidence_agrees_with_quadrature(bearing, power, cell):
     streams = RandomStreams.from_seeds(range(50, 50 + runs), (runs,), F64)
     draws = Draws(streams.normal(1, 4, 128, 1), streams.normal(1, 500, 2))
     signal = torch.zeros(runs, 2, 8, 8, dtype=torch.complex128)
-    new, response = propose_newborn(FIELD, region, data, signal, picks, noise, limit, MODEL, 16, ODDS, draws)
+    new, response = propose_newborn(FIELD, region, data, signal, picks, noise, limit, MODEL, 16, draws)
     whitener = whiten(data, mask_covariance(signal, noise.mean, data.present))
     message = state_message(whitener, response[:, 0], new.power[:, 0], new.log_power_weight[:, 0])
-    found = (new.log_odds + (new.log_weight + message[:, None]).logsumexp(-1))[:, 0] - ODDS
+    message = (new.log_weight + message[:, None]).logsumexp(-1)
+    found = (new.log_odds + message - MODEL.birth.log_odds(region, picks.position))[:, 0]
     grid = -70 + 140 * (torch.arange(14000, dtype=F64) + 0.5) / 14000
     one = type(whitener)(*(t[0] for t in whitener))
     expected = state_message(one, respond(FIELD, grid[:, None]), *uniform_prior(limit[0], 400))
@@ -161,7 +161,7 @@ def test_particles_sit_where_the_source_is():
     streams = RandomStreams.from_seeds([1], (1,), F64)
     draws = Draws(streams.normal(PICKS, 4, 128, 1), streams.normal(PICKS, 500, 2))
     signal = torch.zeros(1, 2, 8, 8, dtype=torch.complex128)
-    new, response = propose_newborn(FIELD, REGION, data, signal, picks, noise, limit, MODEL, 16, ODDS, draws)
+    new, response = propose_newborn(FIELD, REGION, data, signal, picks, noise, limit, MODEL, 16, draws)
     assert new.state.shape == (1, 2, 500, 2)
     for q in range(2):
         outer = picks.power[0, 1 - q][:, None, None] * picks.moment[0, 1 - q]
@@ -196,7 +196,7 @@ def test_nothing_is_born_outside_a_bounded_region(eastward, proposal):
     draws = Draws(streams.normal(1, 4, 64, 2), streams.normal(1, 300, 4))
     limit = torch.full((3, 2), 50.0, dtype=F64)
     new, response = propose_newborn(
-        field, region, data, signal, picks, noise, limit, MODEL, 20, ODDS, draws, proposal=proposal
+        field, region, data, signal, picks, noise, limit, MODEL, 20, draws, proposal=proposal
     )
     outside = ~region.contains(new.state)
     assert outside.any()  # particles there are, without weight
@@ -239,7 +239,7 @@ def test_rates_of_new_objects_fill_their_range():
     streams = RandomStreams.from_seeds([1], (1,), F64)
     draws = Draws(streams.normal(1, 4, 128, 1), streams.normal(1, 500, 2))
     signal, limit = torch.zeros(1, 2, 8, 8, dtype=torch.complex128), torch.full((1, 2), 9.0, dtype=F64)
-    new, _ = propose_newborn(FIELD, REGION, data, signal, picks, noise, limit, MODEL, 16, ODDS, draws)
+    new, _ = propose_newborn(FIELD, REGION, data, signal, picks, noise, limit, MODEL, 16, draws)
     rate = new.state[..., 1]
     assert rate.min() < -0.9
     assert rate.max() > 0.9

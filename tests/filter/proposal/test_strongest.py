@@ -100,6 +100,23 @@ def test_the_blocks_do_not_matter(rng, monkeypatch):
         torch.testing.assert_close(found, expected)
 
 
+@pytest.mark.parametrize("objects", [2, SENSORS])
+def test_favour_is_added_to_the_surface(rng, objects):
+    """Also where it is that of no other cell, or forbids most of them."""
+    dictionary, whitener = make_dictionary(rng), make_whitener(rng, 4, objects=objects, power=1e3)
+    surface = likelihood_surface(dictionary, whitener)
+    favour = -5 * torch.rand(4, CELLS, generator=rng, dtype=torch.float64)
+    favour[:2, 10:] = -torch.inf
+    favour[0] = -torch.inf
+    favour[0, 7] = -20.0
+    among = torch.ones(4, dtype=torch.bool)
+    score, cell = strongest_cell(dictionary, whitener, among, favour)
+    expected = (surface + favour).max(-1)
+    torch.testing.assert_close(score, expected.values)
+    assert torch.equal(cell, expected.indices)
+    assert (cell != surface.argmax(-1)).any()
+
+
 def test_only_some_sequences_are_looked_at(rng):
     whitener, among = make_whitener(rng, 4, objects=2, power=1e3), torch.tensor([False, True, False, True])
     for dictionary in (make_dictionary(rng), make_dictionary(rng, 4)):

@@ -141,7 +141,7 @@ class SampledEvidence(Checked):
         chosen = uniform.pick(known, slots, new_odds.shape[-1])
         drawn = draw_configurations(*components, beliefs.noise, chosen)
         log_evidence = sampled_evidence(*at, noise, measurement, drawn, beliefs.diffuse, model.noise)
-        return log_evidence + model.birth.log_none(region, new_odds.isfinite().sum(-1))
+        return log_evidence + model.birth.log_none(region, new_odds)
 
 
 def gaussian_evidence(beliefs: Beliefs, measurement: Measurement, noise_model: NoiseModel = WHITE) -> Tensor:

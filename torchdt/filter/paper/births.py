@@ -67,7 +67,7 @@ def newborn(
 ) -> Objects:
     """New objects of one cell each: `f(x, gamma) = f_B,n(x) f_B(gamma)`, all of them uniform.
 
-    They exist with `p_B = mu / (mu + 1)`, `mu = mu_B / Q`.
+    They exist with `p_B = mu / (mu + 1)`, `mu = mu_B / Q`, where births are uniform.
 
     Args:
         points: `(*batch, N, d)` centres of the cells.
@@ -82,10 +82,10 @@ def newborn(
     state = model.motion.newborn(region, position, extra)
     num_particles, num_powers = state.shape[-2], share.shape[-1]
     even = torch.full_like(state[..., 0], -math.log(num_particles))
-    log_weight, log_inside = condition_inside(state, even, region)
+    log_weight, _ = condition_inside(state, even, region)
     # Draws on [0, 1) may be zero: a power of nothing is no object.
     power = power_max[..., None, :, None] * (1 - share)
-    log_odds = model.birth.log_odds(region)[..., None].expand_as(log_inside)
+    log_odds = model.birth.log_odds(region, points)
     return Objects(
         state=state,
         log_weight=log_weight,

@@ -8,6 +8,7 @@ level is unknown they are judged together.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -36,6 +37,15 @@ from torchdt.model.region import Region
 ADAPTED = Adapted()
 UNSETTLED = 0.25
 """Variance of the logarithm of a noise variance from which on the noise level counts as unknown."""
+
+
+Favour = Callable[[Tensor], Tensor]
+"""From positions `(*batch, ..., d)` to the log-odds of a birth there beside those where they are largest."""
+
+
+def no_favour(position: Tensor) -> Tensor:
+    """New objects are as likely in one place as in another."""
+    return torch.zeros_like(position[..., 0])
 
 
 class Picks(NamedTuple):
@@ -71,6 +81,7 @@ def search(
     rounds: Tensor,
     *,
     proposal: Proposal = ADAPTED,
+    favour: Favour = no_favour,
     noise_model: NoiseModel = WHITE,
 ) -> tuple[Picks | None, Noise]:
     """Pick cells and refine them.
@@ -83,6 +94,7 @@ def search(
         threshold: `(*batch,)`, smallest log-likelihood ratio at its peak that is worth a new object.
         rounds: `(*batch, Q, rounds, S, d)` standard normal draws; Q is the largest number of picks.
         proposal: refines picks between the points of the grid, or not.
+        favour: of places, where new objects are not as likely everywhere; the threshold is that of the best.
         noise_model: what the noise makes of the covariance of the data.
 
     Returns:
@@ -93,17 +105,20 @@ def search(
     # While the noise level is unknown, sources that are many and equal each pass for noise: look further.
     unsettled = _log_variance(noise).amax(-1) > UNSETTLED
     alive = torch.ones_like(free, dtype=torch.bool)
+    points = dictionary.points.expand(*free.shape, -1, -1)
+    favour_of_cells, favoured = favour(points), torch.zeros_like(threshold)
     found: list[tuple[Tensor, ...]] = []
     scattered: list[Tensor] = []
     gains = [_log_likelihood(measurement, signal, belief, noise_model)]
     for pick in range(rounds.shape[-4]):
         whitener = whiten(measurement, noise_model.covariance(signal, belief.mean, measurement.present))
-        score, cell = strongest_cell(dictionary, whitener, alive)
-        alive = alive & ((score > threshold) | unsettled) & (pick < free)
+        score, cell = strongest_cell(dictionary, whitener, alive, favour_of_cells)
+        alive = alive & ((score > threshold) | unsettled) & (pick < free) & ~score.isneginf()
         if not bool(alive.any()):
             break
         centre, draws = dictionary.points[cell], rounds[..., pick, :, :, :].movedim(-3, 0)
-        position = _refine(field, region, whitener, centre, draws, proposal)
+        position, own = _refine(field, region, whitener, centre, draws, proposal, favour)
+        favoured = favoured + torch.where(alive, own, 0.0)
         response = respond(field, position[..., None, :])
         s, q = statistics(whitener, response)
         _, power = peak_log_likelihood_ratio(whitener.num_snapshots, s[..., 0], q[..., 0])
@@ -116,7 +131,7 @@ def search(
             moment = moment + scatter
         signal = signal + power[..., None, None] * moment
         belief = noise_model.update(noise, measurement, signal)
-        gains.append(_log_likelihood(measurement, signal, belief, noise_model))
+        gains.append(_log_likelihood(measurement, signal, belief, noise_model) + favoured)
         found.append((position, power, scale, moment, alive))
     if not found:
         return None, belief
@@ -150,18 +165,34 @@ def _log_likelihood(
 
 
 def _refine(
-    field: Field, region: Region, whitener: Whitener, centre: Tensor, rounds: Tensor, proposal: Proposal
-) -> Tensor:
-    """Position of a pick within a cell of the picked one, `(*batch, d)`."""
+    field: Field,
+    region: Region,
+    whitener: Whitener,
+    centre: Tensor,
+    rounds: Tensor,
+    proposal: Proposal,
+    favour: Favour,
+) -> tuple[Tensor, Tensor]:
+    """Position of a pick near the cell picked, `(*batch, d)`, and how births favour it, `(*batch,)`."""
 
     def peak(position: Tensor) -> Tensor:
         s, q = statistics(whitener, respond(field, position))
         gain = peak_log_likelihood_ratio(whitener.num_snapshots[..., None], s, q)[0].sum(-2)
-        return drop_outside(position, gain, region)
+        return drop_outside(position, gain + favour(position), region)
 
     low, high = torch.maximum(centre - region.cell, region.lower_end), centre + region.cell
     around = Box(low, torch.minimum(high, region.upper_end))
-    return proposal.refine(peak, centre, around, rounds)
+    position = proposal.refine(peak, centre, around, rounds)
+    refined = favour(position)
+    # Between places where objects are born there may be one where none is.
+    born = ~refined.isneginf()
+    return torch.where(born[..., None], position, centre), torch.where(born, refined, favour(centre))
+
+
+def _beside(odds: Tensor, others: Tensor) -> Tensor:
+    """Log-odds `(*batch, S)` beside those of a pick, `(*batch,)`; alike where none is born at the pick."""
+    there = ~odds.isneginf()
+    return torch.where(there[..., None], others - torch.where(there, odds, 0.0)[..., None], 0.0)
 
 
 def propose_newborn(
@@ -174,14 +205,13 @@ def propose_newborn(
     power_max: Tensor,
     model: Model,
     power_points: int,
-    log_odds: Tensor,
     draws: Draws,
     *,
     proposal: Proposal = ADAPTED,
 ) -> tuple[Objects, Tensor]:
     """New objects around the picks, with particles where prior and likelihood meet.
 
-    The prior is uniform, in position, over a box around the pick, see
+    The prior is that of births, in position, over a box around the pick, see
     `torchdt.filter.proposal.neighbourhood`; positions come from a proposal fitted to prior times likelihood,
     given the other picks, and are weighted by prior over proposal.
 
@@ -189,15 +219,15 @@ def propose_newborn(
         signal: `(*batch, I, M, M)` covariance of the known objects.
         noise: noise belief with known objects and picks explained.
         power_max: `(*batch, I)` upper limit of the powers.
-        model: statistical model, for powers and states of new objects, and noise.
+        model: statistical model, for places, powers and states of new objects, and noise.
         power_points: number G of their support points.
-        log_odds: `(*batch,)`, prior log-odds of an object in one cell.
         draws: at least as many as picks.
         proposal: box of a new object, and density of its particles.
 
     Returns:
         Objects of batch `(*batch, Q)` (log-odds minus infinity where a pick is inactive), whose weights add
-        up to the number of cells that their boxes are worth, and their responses `(*batch, Q, I, P, M)`.
+        up to the number of cells that their boxes are worth at the odds of the pick, and their responses
+        `(*batch, Q, I, P, M)`.
     """
     num = picks.active.shape[-1]
     rounds, final = draws.rounds[..., :num, :, :, :], draws.final[..., :num, :, :]
@@ -209,20 +239,25 @@ def propose_newborn(
     per_pick = measurement.unsqueeze()
     whitener = whiten(per_pick, model.noise.covariance(others, noise.mean[..., None, :], per_pick.present))
 
+    log_odds = model.birth.log_odds(region, picks.position)
+
+    def beside_pick(position: Tensor) -> Tensor:
+        return _beside(log_odds, model.birth.log_odds(region, position))
+
     def log_likelihood(position: Tensor) -> Tensor:
         message = state_message(whitener, respond(field, position), power, log_power_weight)
-        return drop_outside(position, message, region)
+        return drop_outside(position, message + beside_pick(position), region)
 
     prior, density, places = proposal.newborn(log_likelihood, picks.position, region, rounds.movedim(-3, 0))
     d = region.num_coordinates
     position = density.sample(final[..., :d])
     # Of all boxes the odds are those of one cell, so that none goes first for being large; the weights of a
     # box add up to the number of its cells instead.
-    log_prior = prior.log_prob(position) + log_cells(prior, region)[..., None]
+    log_prior = prior.log_prob(position) + log_cells(prior, region)[..., None] + beside_pick(position)
     log_weight = log_prior - density.log_prob(position) - math.log(final.shape[-2])
     state = model.motion.newborn(region, position, final[..., d:])
     log_weight = drop_outside(state, log_weight, region)
     log_weight = drop_foreign(position, log_weight, places, picks.active, region)
-    odds = torch.where(picks.active, log_odds[..., None], -torch.inf)
+    odds = torch.where(picks.active, log_odds, -torch.inf)
     label = torch.zeros(picks.active.shape, dtype=torch.int64, device=state.device)
     return Objects(state, log_weight, power, log_power_weight, odds, label), respond(field, state)

@@ -26,43 +26,50 @@ BLOCK = 1_000_000
 """Numbers of the largest tensor, to stay within the cache of a processor."""
 
 
-def strongest_cell(dictionary: Dictionary, whitener: Whitener, among: Tensor) -> tuple[Tensor, Tensor]:
+def strongest_cell(
+    dictionary: Dictionary, whitener: Whitener, among: Tensor, favour: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
     """The largest value of `likelihood_surface`, `(*batch,)`, and its cell, `(*batch,)` int64.
 
     Args:
         dictionary: responses on the grid.
         whitener: of the background, batch `(*batch,)`.
         among: `(*batch,)` bool, the sequences to look at; others get minus infinity and cell 0.
+        favour: `(*batch, C)` added to the surface, such as log-odds of the cells; None adds nothing.
     """
     rows = among.flatten().nonzero().squeeze(-1)
     flat = Whitener(*(t.reshape(-1, *t.shape[among.ndim :])[rows] for t in whitener))
     if dictionary.response.ndim > 3 and len(rows) < among.numel():
         dictionary = dictionary._replace(response=dictionary.response[rows], energy=dictionary.energy[rows])
-    found = _strongest(dictionary, flat) if len(rows) else (flat.num_snapshots.sum(-1), rows)
+    added = flat.num_snapshots.new_zeros(len(rows), dictionary.points.shape[-2])
+    if favour is not None:
+        added = favour.reshape(among.numel(), -1)[rows]
+    found = _strongest(dictionary, flat, added) if len(rows) else (flat.num_snapshots.sum(-1), rows)
     nowhere = (found[0].new_full((among.numel(),), -torch.inf), rows.new_zeros(among.numel()))
     score, cell = (t.index_copy(0, rows, f).reshape(among.shape) for t, f in zip(nowhere, found, strict=True))
     return score, cell
 
 
-def _strongest(dictionary: Dictionary, flat: Whitener) -> tuple[Tensor, Tensor]:
+def _strongest(dictionary: Dictionary, flat: Whitener, favour: Tensor) -> tuple[Tensor, Tensor]:
     """The same for all of B sequences."""
     num_sensors = flat.projection.shape[-2]
     root, spread = flat.projection.tensor_split([num_sensors], -1)
     level, vector = torch.linalg.eigh(root @ root.mH)
     few = int((level * BULK < level[..., -1:]).sum(-1).max())
     if few > num_sensors // 2:
-        score, cell = likelihood_surface(dictionary, flat).max(-1)
+        score, cell = (likelihood_surface(dictionary, flat) + favour).max(-1)
         return score, cell
     bulk, J = level[..., few], flat.num_snapshots
     strong = vector[..., :few] * (bulk[..., None] - level[..., :few]).clamp_min(0).sqrt()[..., None, :]
     slack = _slack(num_sensors, level.dtype)
     columns = torch.cat([strong, spread * (1 + slack)], -1)
-    bound = _bounds(dictionary, columns, few, J, bulk - 2 * slack * level[..., -1])
+    bound = _bounds(dictionary, columns, few, J, bulk - 2 * slack * level[..., -1]) + favour
     promising = bound.topk(min(PROMISING, bound.shape[-1])).indices
-    best = _exact(_take(dictionary.response, promising), flat).amax(-1)
-    reached = best * (1 - slack) - slack * J.sum(-1)
+    best = _exact(_take(dictionary.response, promising), flat)
+    sure = best * (1 - slack) - slack * J.sum(-1)[:, None] + favour.gather(-1, promising)
+    reached = sure.amax(-1)
     tested = (~(bound < reached[:, None])).scatter_(-1, promising, True)
-    found = [_test(dictionary, flat, b, row.nonzero().squeeze(-1)) for b, row in enumerate(tested)]
+    found = [_test(dictionary, flat, favour, b, row.nonzero().squeeze(-1)) for b, row in enumerate(tested)]
     score, cell = (torch.stack(t) for t in zip(*found, strict=True))
     return score, cell
 
@@ -108,10 +115,13 @@ def _bounds(dictionary: Dictionary, columns: Tensor, few: int, J: Tensor, bulk: 
     return bound.masked_fill_(bound.isnan(), torch.inf)
 
 
-def _test(dictionary: Dictionary, whitener: Whitener, index: int, cells: Tensor) -> tuple[Tensor, Tensor]:
+def _test(
+    dictionary: Dictionary, whitener: Whitener, favour: Tensor, index: int, cells: Tensor
+) -> tuple[Tensor, Tensor]:
     """Largest exact value of `(K,)` cells and its cell, of sequence `index`."""
     response = dictionary.response if dictionary.response.ndim == 3 else dictionary.response[index]
-    score, at = _exact(response[:, cells], Whitener(*(t[index] for t in whitener))).max(-1)
+    score = _exact(response[:, cells], Whitener(*(t[index] for t in whitener))) + favour[index, cells]
+    score, at = score.max(-1)
     return score, cells[at]
 
 
