@@ -17,7 +17,7 @@ from torchdt.core.resampling import Systematic
 from torchdt.data.recording import Recording
 from torchdt.filter.bp.moments import response_moment, signal_covariance
 from torchdt.filter.bp.schedule import update
-from torchdt.filter.declare import conclude
+from torchdt.filter.declare import extract_estimates
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.placement import Placer
 from torchdt.filter.proposal.moved import respond
@@ -26,7 +26,7 @@ from torchdt.filter.state import Objects, TrackerState
 from torchdt.model.measurement import Measurement
 from torchdt.model.noise.base import Noise
 from torchdt.model.noise.white import update_noise
-from torchdt.model.part import widen
+from torchdt.model.part import append_dims
 from torchdt.model.prior import Priors
 from torchdt.run.track import track
 
@@ -96,7 +96,7 @@ def forward_parts(
     """
     cfg, field, region, noise = tracker.config, tracker.field, tracker.region, state.noise
     draws = tracker.draw(streams)
-    tempered = measurement.tempered(widen(tracker.model.likelihood_power, 1))
+    tempered = measurement.tempered(append_dims(tracker.model.likelihood_power, 1))
     born = tracker.model.birth.log_odds(region, tracker.dictionary.points[None]).amax(-1)
     placer = Placer(field, region, tracker.dictionary, cfg, tracker.model)
 
@@ -163,7 +163,10 @@ def forward_parts(
             f"{objects}, with roughening; no part of a step with adapted proposals",
         ),
         "evidence": (partial(tracker.evidence, *weighing), str(cfg.evidence)),
-        "conclusion": (partial(conclude, placed.objects, beliefs, state, log_evidence, region, cfg), ""),
+        "conclusion": (
+            partial(extract_estimates, placed.objects, beliefs, state, log_evidence, region, cfg),
+            "",
+        ),
         WHOLE: (partial(tracker.step, state, measurement, priors, streams), f"{cfg.slots} slots, {one}"),
     }
 

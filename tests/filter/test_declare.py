@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchdt.filter.bp.schedule import Beliefs, as_belief
 from torchdt.filter.config import TrackerConfig
-from torchdt.filter.declare import conclude, empty_slots, idle_particles
+from torchdt.filter.declare import extract_estimates, empty_slots, idle_particles
 from torchdt.filter.state import Objects, TrackerState
 from torchdt.model.noise.base import Noise
 
@@ -58,7 +58,11 @@ def end(existence: list[list[float]], label: list[list[int]], power: list[float]
     )
     unused = torch.zeros(())
     beliefs = Beliefs(as_belief(posterior), noise, unused, unused, unused)
-    return prior, beliefs, conclude(prior, beliefs, OLD, torch.tensor([-7.0, 8.0], dtype=F64), REGION, CONFIG)
+    return (
+        prior,
+        beliefs,
+        extract_estimates(prior, beliefs, OLD, torch.tensor([-7.0, 8.0], dtype=F64), REGION, CONFIG),
+    )
 
 
 def test_improbable_objects_are_dropped_and_the_others_sorted():

@@ -13,7 +13,9 @@ F64 = torch.float64
 REGION = make_region()
 
 
-def predicted(bearings: list[float], deviation: float, log_odds: list[float], enough: int | None = None):
+def predicted(
+    bearings: list[float], deviation: float, log_odds: list[float], num_particles: int | None = None
+):
     """Objects at given bearings with particles of one deviation, one step later."""
     tracker = make_tracker(particles=400, slots=len(bearings))
     limit = torch.full((2,), 4.0, dtype=F64)
@@ -25,7 +27,9 @@ def predicted(bearings: list[float], deviation: float, log_odds: list[float], en
     objects = state.objects._replace(state=noise, log_odds=torch.tensor(log_odds, dtype=F64))
     draws = torch.zeros(len(bearings), 400, 1, dtype=F64)
     before = state._replace(objects=objects)
-    return predict(tracker.field, tracker.region, tracker.model, 1.0, before, draws, Score(), 4, enough)
+    return predict(
+        tracker.field, tracker.region, tracker.model, 1.0, before, draws, Score(), 4, num_particles
+    )
 
 
 def test_objects_whose_predictions_overlap_may_change_places():
@@ -60,7 +64,7 @@ def test_prediction_keeps_weights_and_lowers_existence():
 
 def test_a_part_of_the_particles_is_enough_for_the_moments():
     """Every fourth of 400: phases across the array differ by 0.3 rad, so an element has an error of 0.03."""
-    full, part = (predicted([0.0, 20.0], 0.5, [3.0, 2.0], enough) for enough in (None, 100))
+    full, part = (predicted([0.0, 20.0], 0.5, [3.0, 2.0], num_particles) for num_particles in (None, 100))
     assert part.response.shape[-2] == 100
     torch.testing.assert_close(part.beliefs.moment, full.beliefs.moment, atol=0.15, rtol=0)
     torch.testing.assert_close(part.beliefs.objects, full.beliefs.objects)

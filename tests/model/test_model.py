@@ -12,7 +12,7 @@ from torchdt.model.birth import UniformBirth
 from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings
 from torchdt.model.model import Model, stack_models
 from torchdt.model.motion.constant_velocity import ConstantVelocity
-from torchdt.model.part import number, widen
+from torchdt.model.part import number, append_dims
 from torchdt.model.power.gamma import GammaPower
 from torchdt.model.region import Coordinate, Region
 
@@ -80,7 +80,7 @@ def test_a_configuration_nests_the_numbers_under_their_parts():
 @pytest.mark.parametrize(("batch", "dims"), [((), 0), ((), 1), ((), 2), ((3,), 1), ((2, 3), 2)])
 def test_widened_values_broadcast_over_what_follows_the_batch(batch, dims):
     value = torch.randn(batch, generator=torch.Generator().manual_seed(1))
-    wide = widen(value, dims)
+    wide = append_dims(value, dims)
     assert wide.shape == (*batch, *[1] * dims)
     following = torch.zeros((*batch, *[4] * dims))
     for at in np.ndindex(*batch):

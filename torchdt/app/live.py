@@ -56,7 +56,7 @@ class LiveReport:
             None if truth is None else truth[0, step],
         )
 
-    def conclude(
+    def finish(
         self, figures: Mapping[str, Figure], history: TrackHistory, metrics: Mapping[str, Any]
     ) -> None:
         """Write what is known at the end.

@@ -140,4 +140,4 @@ def write_results(
         figures = draw_figures(settings, recording.select(first), tracker.select(first), history, score)
         write_figures(directory / "figures", figures)
     if settings.logging.tensorboard:
-        live.conclude(figures, history, metrics)
+        live.finish(figures, history, metrics)

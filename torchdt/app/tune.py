@@ -132,7 +132,7 @@ class TuneJob:
                     self.save(reached, report)
                 advance(reached)
             assert reached is not None
-            self.conclude(reached, report)
+            self.finish(reached, report)
         return reached
 
     def save(self, state: TuningState, report: TuningReport | None) -> None:
@@ -153,7 +153,7 @@ class TuneJob:
         score = score_history(history, sequences.recording, self.settings)
         return None if score is None else score.total[sequences.mask].mean().item()
 
-    def conclude(self, state: TuningState, report: TuningReport | None) -> None:
+    def finish(self, state: TuningState, report: TuningReport | None) -> None:
         """Write the best values, what they bring, and how the likelihood falls off around them."""
         scores = self.gospa(self.start), self.gospa(state.best)
         set_raw(self.hyperparameters, state.best)

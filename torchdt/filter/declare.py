@@ -20,7 +20,7 @@ def idle_particles(region: Region, num_particles: int) -> Tensor:
     return region.complete(position)
 
 
-def conclude(
+def extract_estimates(
     prior: Objects,
     beliefs: Beliefs,
     old: TrackerState,
@@ -68,7 +68,7 @@ def report(
         config: thresholds.
 
     Returns:
-        As `conclude`.
+        As `extract_estimates`.
     """
     objects = objects._replace(
         state=region.gather(objects.state, objects.log_weight), log_odds=prune(objects.log_odds, config)

@@ -1,4 +1,4 @@
-"""The direct tracker: predict, place, update, conclude."""
+"""The direct tracker: predict, place, update, report."""
 
 import copy
 import math
@@ -15,7 +15,7 @@ from torchdt.field.mismatch import with_share
 from torchdt.field.wrapped import CompletedField
 from torchdt.filter.bp.schedule import Beliefs, update
 from torchdt.filter.config import TrackerConfig
-from torchdt.filter.declare import conclude, empty_slots, idle_particles
+from torchdt.filter.declare import extract_estimates, empty_slots, idle_particles
 from torchdt.filter.history import TrackHistory
 from torchdt.filter.placement import Placer
 from torchdt.filter.predict import Predicted, predict
@@ -26,12 +26,12 @@ from torchdt.filter.tracker import Tracker
 from torchdt.model.measurement import Measurement
 from torchdt.model.model import Model
 from torchdt.model.noise.base import Noise
-from torchdt.model.part import widen
+from torchdt.model.part import append_dims
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
 from torchdt.model.wishart import log_normaliser
 
-ENOUGH = 250
+MOMENT_PARTICLES = 250
 """Particles of a predicted object from which the covariance of its response is taken, at least."""
 
 
@@ -172,8 +172,8 @@ class DirectTracker(Tracker[TrackerState]):
         draws = self.draw(streams)
         given, count = measurement, model.effective_count
         if count is not None:
-            measurement = given.recounted(widen(count, 1))
-        tempered = measurement.tempered(widen(model.likelihood_power, 1))
+            measurement = given.recounted(append_dims(count, 1))
+        tempered = measurement.tempered(append_dims(model.likelihood_power, 1))
         # Noise that the numbers of this step cannot resolve is as good as the least that they can. The belief
         # that goes on keeps its support points.
         noise = model.noise.resolvable(state.noise, measurement, priors)
@@ -192,11 +192,13 @@ class DirectTracker(Tracker[TrackerState]):
         )
         log_evidence = self.evidence(predicted, current, noise, measurement, beliefs, draws.evidence)
         if count is not None:
-            log_evidence = log_evidence + log_normaliser(given, widen(count, 1)).to(log_evidence).sum(-1)
-        objects, next_label, estimate = conclude(
+            log_evidence = log_evidence + log_normaliser(given, append_dims(count, 1)).to(log_evidence).sum(
+                -1
+            )
+        objects, next_label, estimate = extract_estimates(
             current.objects, beliefs, state, log_evidence, self.region, cfg
         )
-        objects = cfg.proposal.conclude(objects, cfg.resampler, streams)
+        objects = cfg.proposal.resample(objects, cfg.resampler, streams)
         noise = model.noise.predict(state.noise._replace(log_weight=beliefs.noise.log_weight))
         return TrackerState(empty_slots(objects, self._idle), noise, next_label), estimate
 
@@ -215,9 +217,9 @@ class DirectTracker(Tracker[TrackerState]):
     def predict(self, state: TrackerState, draws: Tensor) -> Predicted:
         """Objects before the data of a step, see `torchdt.filter.predict.predict`."""
         cfg = self.config
-        enough = ENOUGH if cfg.proposal.moves and not cfg.evidence.every_response else None
+        num_particles = MOMENT_PARTICLES if cfg.proposal.moves and not cfg.evidence.every_response else None
         where = self.field, self.region, self.model, self.step_s
-        return predict(*where, state, draws, cfg.gradient, cfg.proposal.mixture_components, enough)
+        return predict(*where, state, draws, cfg.gradient, cfg.proposal.mixture_components, num_particles)
 
     def evidence(
         self,

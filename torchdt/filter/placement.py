@@ -20,7 +20,7 @@ from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement
 from torchdt.model.model import Model
 from torchdt.model.noise.base import Noise
-from torchdt.model.part import widen
+from torchdt.model.part import append_dims
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
 
@@ -83,7 +83,7 @@ class Placer:
                 cfg.pick_threshold(top),
                 rounds,
                 proposal=cfg.proposal,
-                favour=lambda position: log_odds(position) - widen(top, position.ndim - 1 - top.ndim),
+                favour=lambda position: log_odds(position) - append_dims(top, position.ndim - 1 - top.ndim),
                 noise_model=self.model.noise,
             )
         explained = Noise(*(t.detach() for t in explained))

@@ -14,7 +14,7 @@ from torchdt.filter.state import Objects, TrackerState
 from torchdt.model.existence import condition_inside, predict_log_odds
 from torchdt.model.model import Model
 from torchdt.model.motion.driving import Gradient
-from torchdt.model.part import widen
+from torchdt.model.part import append_dims
 from torchdt.model.region import Region
 
 
@@ -43,7 +43,7 @@ def predict(
     draws: Tensor,
     gradient: Gradient,
     components: int = 1,
-    enough: int | None = None,
+    num_particles: int | None = None,
 ) -> Predicted:
     """Move objects, powers and existence by one step; an object that leaves the region ends.
 
@@ -57,7 +57,7 @@ def predict(
         draws: `(*batch, N, P, num_driving)` standard normal.
         gradient: how the particles depend on the numbers of the motion.
         components: of the density of an object, at most; one has the mean and covariance of its particles.
-        enough: number of particles whose responses suffice, for their moments; None takes all.
+        num_particles: number of particles whose responses suffice, for their moments; None takes all.
     """
     dim = state.objects.log_odds.ndim - 1
     occupied = max(1, int(state.objects.log_odds.isfinite().sum(-1).max()))
@@ -65,21 +65,21 @@ def predict(
     moved, log_ratio = model.motion.predict(old.state, draws.narrow(dim, 0, occupied), step_s, gradient)
     power = model.power.predict(old.power, old.log_power_weight)
     log_weight, log_inside = condition_inside(moved, old.log_weight + log_ratio, region)
-    log_odds = predict_log_odds(old.log_odds, widen(model.survival, 1) * log_inside.exp())
+    log_odds = predict_log_odds(old.log_odds, append_dims(model.survival, 1) * log_inside.exp())
     objects = Objects(moved, log_weight, *power, log_odds, old.label)
     log_share, mean, covariance = cluster_moments(old.state, old.log_weight, components)
     size = mean.shape[-3:-1]
     mean, covariance = model.motion.moments(mean.flatten(-3, -2), covariance.flatten(-4, -3), step_s)
     density = GaussianMixture(log_share, mean.unflatten(-2, size), scale_tril(covariance).unflatten(-3, size))
-    every = 1 if enough is None else max(1, objects.state.shape[-2] // enough)
-    heard = objects
+    every = 1 if num_particles is None else max(1, objects.state.shape[-2] // num_particles)
+    observed = objects
     if every > 1:
-        heard = objects._replace(
+        observed = objects._replace(
             state=objects.state[..., ::every, :], log_weight=normalise(objects.log_weight[..., ::every])[0]
         )
-    response = respond(field, heard.state)
+    response = respond(field, observed.state)
     diffuse = diffuse_part(field, objects.state, objects.log_weight)
-    beliefs = initial_beliefs(heard, response, state.noise, diffuse)._replace(objects=as_belief(objects))
+    beliefs = initial_beliefs(observed, response, state.noise, diffuse)._replace(objects=as_belief(objects))
     return Predicted(objects, density, response, beliefs)
 
 

@@ -9,7 +9,7 @@ from torch.distributions import constraints
 
 from torchdt.core.ranges import TINY, Range
 from torchdt.core.support import Support
-from torchdt.model.part import Number, Part, number, widen
+from torchdt.model.part import Number, Part, number, append_dims
 from torchdt.model.region import Region
 
 MEAN = Support(Range("a positive number", low=0, open_low=True, least=TINY, most=1e4), constraints.positive)
@@ -65,7 +65,7 @@ class UniformBirth(Part):
     def log_odds(self, region: Region, position: Tensor) -> Tensor:
         """`p = mu / (mu + 1)` with `mu = mu_B / Q`, so `log mu`."""
         log_mean = torch.log(self.birth_mean / region.num_cells)
-        return widen(log_mean, position.ndim - 1 - log_mean.ndim).expand(position.shape[:-1])
+        return append_dims(log_mean, position.ndim - 1 - log_mean.ndim).expand(position.shape[:-1])
 
     def log_none(self, region: Region, log_odds: Tensor) -> Tensor:
         """`-(Q - n) log(1 + mu)`, with n the number of cells that are looked at."""

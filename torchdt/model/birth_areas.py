@@ -11,7 +11,7 @@ from torch import Tensor
 from torchdt.core.errors import require
 from torchdt.core.ranges import Finite, Positive, check
 from torchdt.model.birth import MEAN
-from torchdt.model.part import Number, Part, number, widen
+from torchdt.model.part import Number, Part, number, append_dims
 from torchdt.model.region import Region
 
 
@@ -60,7 +60,10 @@ class AreaBirth(Part):
         """`log mu_B w_c`, with w_c the share of the cell that holds the position."""
         assert self.share is not None, "a model of births is used on its region"
         log_mean = torch.log(self.birth_mean)
-        return widen(log_mean, position.ndim - 1 - log_mean.ndim) + self.share.log()[region.cell_of(position)]
+        return (
+            append_dims(log_mean, position.ndim - 1 - log_mean.ndim)
+            + self.share.log()[region.cell_of(position)]
+        )
 
     def log_none(self, region: Region, log_odds: Tensor) -> Tensor:
         """`sum_c -log(1 + mu_B w_c)` over the cells that are not looked at."""

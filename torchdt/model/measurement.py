@@ -83,9 +83,9 @@ def from_snapshots(snapshots: Tensor) -> Measurement:
     Returns:
         Measurement with R = min(J, M).
     """
-    heard = ~snapshots.isnan()
-    usable = heard.sum(-1, keepdim=True) * 2 > heard.any(-2, keepdim=True).sum(-1, keepdim=True)
-    present = (heard | ~usable).all(-2) & usable.any(-2)
+    observed = ~snapshots.isnan()
+    usable = observed.sum(-1, keepdim=True) * 2 > observed.any(-2, keepdim=True).sum(-1, keepdim=True)
+    present = (observed | ~usable).all(-2) & usable.any(-2)
     kept = torch.where(usable & present[..., None, :], snapshots, torch.zeros_like(snapshots))
     factor = kept.mT
     if factor.shape[-1] > factor.shape[-2]:

@@ -40,7 +40,7 @@ def number(default: float | Sequence[float] | None, support: Support, *, vector:
     return dataclasses.field(default=default, metadata={"support": support, "vector": vector})
 
 
-def widen(value: Tensor, dims: int) -> Tensor:
+def append_dims(value: Tensor, dims: int) -> Tensor:
     """Append dimensions of size one, so that `(*batch,)` broadcasts to `(*batch, ...)`."""
     return value.reshape((*value.shape, *(1 for _ in range(dims))))
 

@@ -37,16 +37,16 @@ def data_scale(data: Tensor, is_covariance: bool) -> Tensor:
     power = data.diagonal(dim1=-2, dim2=-1).real if is_covariance else data.abs()
     # Dividing by the largest magnitude first keeps the squares of tiny or huge units representable.
     largest = power.nan_to_num(nan=0.0).flatten(-4 + is_covariance).amax(-1)
-    heard = (~power.isnan()).flatten(-4 + is_covariance).any(-1)
-    if bool((heard & (largest <= 0)).any()):
+    observed = (~power.isnan()).flatten(-4 + is_covariance).any(-1)
+    if bool((observed & (largest <= 0)).any()):
         raise InputError.of_key(
             "covariance" if is_covariance else "snapshots", "only zeros", "a signal or noise"
         )
-    largest = torch.where(heard, largest, 1.0)
+    largest = torch.where(observed, largest, 1.0)
     relative = power / largest.reshape(*largest.shape, *(1 for _ in range(power.ndim - largest.ndim)))
     square = relative if is_covariance else relative.square()
     mean = square.flatten(-4 + is_covariance).nanmean(-1)
-    mean = torch.where(heard, mean, 1.0)
+    mean = torch.where(observed, mean, 1.0)
     return (largest * mean).sqrt() if is_covariance else largest * mean.sqrt()
 
 
@@ -60,8 +60,8 @@ def data_priors(measurement: Measurement) -> Priors:
     Args:
         measurement: statistics of whole sequences, batch `(*batch, K)`.
     """
-    heard = measurement.num_snapshots > 0
-    energy = torch.where(heard, measurement.energy, torch.nan)
+    observed = measurement.num_snapshots > 0
+    energy = torch.where(observed, measurement.energy, torch.nan)
     per_sensor = energy / measurement.present.sum(-1).clamp_min(1.0)
     power = 2 * energy.nanquantile(0.99, dim=-2)
     noise = 2 * per_sensor.nanquantile(0.5, dim=-2)

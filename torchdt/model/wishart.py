@@ -38,9 +38,9 @@ def log_normaliser(measurement: Measurement, count: Tensor) -> Tensor:
             snapshots than sensors, it has no such density.
     """
     given = measurement.num_snapshots.double()
-    heard, present = given > 0, measurement.present.double()
+    observed, present = given > 0, measurement.present.double()
     size = present.sum(-1)
-    count = torch.where(heard, count.double(), size)
+    count = torch.where(observed, count.double(), size)
     if not (count > size - 1).all():
         raise NumericalError(
             f"effective count: {count.detach().min().item():.3g} snapshots for the sample covariance of "
@@ -50,10 +50,10 @@ def log_normaliser(measurement: Measurement, count: Tensor) -> Tensor:
     # Missing sensors, which all are in a step without data, add ones to the diagonal.
     scatter = factor @ factor.mH + torch.diag_embed(1.0 - present).to(factor)
     lower = cholesky(scatter, "sample covariance")
-    unit = torch.where(heard, given, 1.0)
+    unit = torch.where(observed, given, 1.0)
     log_det = 2 * lower.diagonal(dim1=-2, dim2=-1).real.log().sum(-1) - size * unit.log()
     term = size * count * (math.pi * count).log() + (count - given) * log_det - _log_gamma(count, present)
-    return torch.where(heard, term, 0.0)
+    return torch.where(observed, term, 0.0)
 
 
 def _log_gamma(count: Tensor, present: Tensor) -> Tensor:

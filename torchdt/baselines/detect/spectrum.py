@@ -124,11 +124,13 @@ def _start(response: Tensor, measurement: Measurement) -> Active:
     norm = torch.linalg.vector_norm(response, dim=-1).square()
     tiny = torch.finfo(norm.dtype).tiny
     J = measurement.num_snapshots[..., None]
-    heard = (J > 0).to(norm.dtype)
-    power = (output / (J * norm.square()).clamp_min(tiny) * heard).sum(-2) / heard.sum(-2).clamp_min(1.0)
+    observed = (J > 0).to(norm.dtype)
+    power = (output / (J * norm.square()).clamp_min(tiny) * observed).sum(-2) / observed.sum(-2).clamp_min(
+        1.0
+    )
     column = torch.arange(power.shape[-1], device=power.device).expand(power.shape)
     count = torch.zeros_like(column[..., 0])
-    return Active(column, response, power, torch.zeros_like(heard[..., 0]), count, count > 0)
+    return Active(column, response, power, torch.zeros_like(observed[..., 0]), count, count > 0)
 
 
 def _iterate(
@@ -178,9 +180,9 @@ def update(power: Tensor, response: Tensor, noise: Tensor, measurement: Measurem
     whitener = whiten(measurement, mask_covariance(signal, noise, measurement.present))
     s, q = (torch.cat(t, -1) for t in zip(*(statistics(whitener, part) for part in parts), strict=True))
     J = measurement.num_snapshots[..., None]
-    heard = (J > 0).to(s.dtype)
+    observed = (J > 0).to(s.dtype)
     tiny = torch.finfo(s.dtype).tiny
-    return power * (q / J.clamp_min(1.0) * heard).sum(-2) / (s * heard).sum(-2).clamp_min(tiny)
+    return power * (q / J.clamp_min(1.0) * observed).sum(-2) / (s * observed).sum(-2).clamp_min(tiny)
 
 
 def _noise(active: Active, measurement: Measurement, layout: Grid, sources: int) -> Tensor:

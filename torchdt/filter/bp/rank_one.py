@@ -111,6 +111,6 @@ def peak_log_likelihood_ratio(J: Tensor, s: Tensor, q: Tensor) -> tuple[Tensor, 
     tiny = torch.finfo(s.dtype).tiny
     safe_s, safe_J = s.clamp_min(tiny), J.clamp_min(tiny)
     ratio = (q / (safe_J * safe_s)).clamp_min(1.0)
-    heard = (J > 0) & (s > tiny)
-    peak = torch.where(heard, J * (ratio - 1 - ratio.log()), 0.0)
-    return peak, torch.where(heard, (ratio - 1) / safe_s, 0.0)
+    observed = (J > 0) & (s > tiny)
+    peak = torch.where(observed, J * (ratio - 1 - ratio.log()), 0.0)
+    return peak, torch.where(observed, (ratio - 1) / safe_s, 0.0)

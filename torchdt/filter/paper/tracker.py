@@ -29,7 +29,7 @@ from torchdt.model.measurement import Measurement
 from torchdt.model.model import Model
 from torchdt.model.motion.driving import Score
 from torchdt.model.noise.base import BaseNoise, Noise
-from torchdt.model.part import widen
+from torchdt.model.part import append_dims
 from torchdt.model.power.gamma import GammaPower
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
@@ -173,8 +173,8 @@ class PaperTracker(Tracker[TrackerState]):
         """
         cfg, model, draws = self.config, self.model, self.draw(streams)
         if model.effective_count is not None:
-            measurement = measurement.recounted(widen(model.effective_count, 1))
-        measurement = measurement.tempered(widen(model.likelihood_power, 1))
+            measurement = measurement.recounted(append_dims(model.effective_count, 1))
+        measurement = measurement.tempered(append_dims(model.likelihood_power, 1))
         known = self.predict_objects(state.objects, draws)
         noise = self.predict_noise(state.noise, draws)
         born = self.place_newborn(measurement, priors, draws)
@@ -228,11 +228,11 @@ class PaperTracker(Tracker[TrackerState]):
         state, _ = self.model.motion.predict(state, some(draws.driving), self.step_s, Score())
         log_weight, _ = condition_inside(state, log_weight, self.region)
         power = resample_values(old.power, old.log_power_weight, some(draws.offsets[1]), cfg.resampler)
-        log_odds = predict_log_odds(old.log_odds, widen(self.model.survival, 1))
+        log_odds = predict_log_odds(old.log_odds, append_dims(self.model.survival, 1))
         return Objects(
             state=state,
             log_weight=log_weight,
-            power=power * some(draws.power) / widen(self.power_shape, 3),
+            power=power * some(draws.power) / append_dims(self.power_shape, 3),
             log_power_weight=_even(power.shape, power),
             log_odds=torch.where(self.region.contains(state).any(-1), log_odds, -torch.inf),
             label=old.label,
@@ -241,7 +241,7 @@ class PaperTracker(Tracker[TrackerState]):
     def predict_noise(self, noise: Noise, draws: Draws) -> Noise:
         """Resample the noise variances and draw their transition: xi."""
         variance = resample_values(noise.variance, noise.log_weight, draws.offsets[2], self.config.resampler)
-        variance = variance * draws.noise / widen(self.noise_shape, 2)
+        variance = variance * draws.noise / append_dims(self.noise_shape, 2)
         return Noise(variance, _even(variance.shape, variance))
 
     def pick(self, measurement: Measurement) -> Tensor:

@@ -89,6 +89,6 @@ class Adapted(Checked):
         mixture = adapt(log_likelihood, prior, rounds)[0]
         return NewbornDensity(prior, mixture, place_of(mixture.fitted, prior))
 
-    def conclude(self, objects: Objects, resampler: Resampler, streams: RandomStreams) -> Objects:
+    def resample(self, objects: Objects, resampler: Resampler, streams: RandomStreams) -> Objects:
         """The next step draws particles of its own."""
         return objects

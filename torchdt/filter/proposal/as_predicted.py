@@ -75,7 +75,7 @@ class AsPredicted:
         cell = cell_around(peak, region)
         return NewbornDensity(cell, cell, cell)
 
-    def conclude(self, objects: Objects, resampler: Resampler, streams: RandomStreams) -> Objects:
+    def resample(self, objects: Objects, resampler: Resampler, streams: RandomStreams) -> Objects:
         """Equal weights where too few particles carry them."""
         draws = resampler.draw(streams, *objects.state.shape[-3:])
         state, log_weight = resampler.resample(objects.state, objects.log_weight, draws)

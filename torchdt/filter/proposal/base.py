@@ -114,6 +114,6 @@ class Proposal(Protocol):
         """
         ...
 
-    def conclude(self, objects: Objects, resampler: Resampler, streams: RandomStreams) -> Objects:
+    def resample(self, objects: Objects, resampler: Resampler, streams: RandomStreams) -> Objects:
         """Objects as the next step finds them."""
         ...

@@ -82,9 +82,9 @@ def bartlett_surface(dictionary: Dictionary, measurement: Measurement) -> Tensor
     norm = response.abs().square().sum(-1)
     energy = measurement.factor.abs().square().sum((-2, -1))[..., None]
     tiny = torch.finfo(output.dtype).tiny
-    heard = (measurement.num_snapshots > 0).to(output.dtype)[..., None]
+    observed = (measurement.num_snapshots > 0).to(output.dtype)[..., None]
     share = output / (norm * energy).clamp_min(tiny)
-    return (heard * share).sum(-2) / heard.sum(-2).clamp_min(1.0)
+    return (observed * share).sum(-2) / observed.sum(-2).clamp_min(1.0)
 
 
 def likelihood_surface(dictionary: Dictionary, whitener: Whitener) -> Tensor:

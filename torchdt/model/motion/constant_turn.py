@@ -10,7 +10,7 @@ from torch import Tensor
 from torchdt.core.errors import require
 from torchdt.core.support import POSITIVE
 from torchdt.model.motion.base import BaseMotion
-from torchdt.model.part import Number, number, widen
+from torchdt.model.part import Number, number, append_dims
 from torchdt.model.region import Coordinate, Region
 
 
@@ -69,7 +69,7 @@ class ConstantTurn(BaseMotion):
 
     def newborn(self, region: Region, position: Tensor, draws: Tensor) -> Tensor:
         """States of new objects: rates uniform between the region's limits, normal turn rates."""
-        turn = widen(self.turn_spread, draws.ndim - self.turn_spread.ndim) * draws[..., 2:]
+        turn = append_dims(self.turn_spread, draws.ndim - self.turn_spread.ndim) * draws[..., 2:]
         return torch.cat([super().newborn(region, position, draws[..., :2]), turn], -1)
 
     def complete(self, region: Region, position: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ from torch import Tensor
 from torchdt.core.weights import normalise, weighted_mean
 from torchdt.model.gamma_chain import SHAPE, predict_chain, predicted_uniform_prior
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood
-from torchdt.model.part import Number, Part, number, widen
+from torchdt.model.part import Number, Part, number, append_dims
 from torchdt.model.prior import Priors, resolvable_noise
 from torchdt.model.region import Region
 
@@ -126,11 +126,11 @@ class BaseNoise(Part):
 
     def initial(self, maximum: Tensor, num_points: int) -> Noise:
         """Belief of the first step, see `predicted_uniform_prior`."""
-        return Noise(*predicted_uniform_prior(maximum, num_points, widen(self.noise_shape, 1)))
+        return Noise(*predicted_uniform_prior(maximum, num_points, append_dims(self.noise_shape, 1)))
 
     def predict(self, noise: Noise) -> Noise:
         """One Gamma transition, see `predict_chain`."""
-        return Noise(*predict_chain(noise.variance, noise.log_weight, widen(self.noise_shape, 1)))
+        return Noise(*predict_chain(noise.variance, noise.log_weight, append_dims(self.noise_shape, 1)))
 
     def resolvable(self, noise: Noise, measurement: Measurement, priors: Priors) -> Noise:
         """No level below that of `resolvable_noise`."""

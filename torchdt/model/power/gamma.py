@@ -6,7 +6,7 @@ from typing import ClassVar
 from torch import Tensor
 
 from torchdt.model.gamma_chain import SHAPE, predict_chain, uniform_prior, uniform_prior_around
-from torchdt.model.part import Number, Part, number, widen
+from torchdt.model.part import Number, Part, number, append_dims
 
 
 @dataclass(frozen=True)
@@ -32,5 +32,5 @@ class GammaPower(Part):
     def predict(self, power: Tensor, log_weight: Tensor) -> tuple[Tensor, Tensor]:
         """One Gamma transition, see `predict_chain`."""
         return predict_chain(
-            power, log_weight, widen(self.power_shape, power.ndim - 1 - self.power_shape.ndim)
+            power, log_weight, append_dims(self.power_shape, power.ndim - 1 - self.power_shape.ndim)
         )

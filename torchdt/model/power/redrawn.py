@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from torchdt.core.support import UP_TO_ONE
-from torchdt.model.part import Number, Part, number, widen
+from torchdt.model.part import Number, Part, number, append_dims
 
 LOWEST, HIGHEST = 1e-4, 10.0
 """Powers over their mean between which support points are spread; a power lies below with a
@@ -31,7 +31,7 @@ class RedrawnPower(Part):
     def initial(self, maximum: Tensor, num_points: int) -> tuple[Tensor, Tensor]:
         """The density in bins evenly spaced in the logarithm, an open one at each end."""
         point, log_weight = _bins(num_points, maximum)
-        mean = widen(self.mean_share, maximum.ndim - self.mean_share.ndim) * maximum
+        mean = append_dims(self.mean_share, maximum.ndim - self.mean_share.ndim) * maximum
         points = mean[..., None] * point
         return points, log_weight.expand_as(points)
 
