@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchdt.filter.bp.schedule import Beliefs, as_belief
 from torchdt.filter.config import TrackerConfig
-from torchdt.filter.declare import extract_estimates, empty_slots, idle_particles
+from torchdt.filter.declare import empty_slots, extract_estimates, idle_particles
 from torchdt.filter.state import Objects, TrackerState
 from torchdt.model.noise.base import Noise
 

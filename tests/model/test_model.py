@@ -12,7 +12,7 @@ from torchdt.model.birth import UniformBirth
 from torchdt.model.hyperparameters import Hyperparameters, HyperparameterSettings
 from torchdt.model.model import Model, stack_models
 from torchdt.model.motion.constant_velocity import ConstantVelocity
-from torchdt.model.part import number, append_dims
+from torchdt.model.part import append_dims, number
 from torchdt.model.power.gamma import GammaPower
 from torchdt.model.region import Coordinate, Region
 

@@ -15,7 +15,7 @@ from torchdt.field.mismatch import with_share
 from torchdt.field.wrapped import CompletedField
 from torchdt.filter.bp.schedule import Beliefs, update
 from torchdt.filter.config import TrackerConfig
-from torchdt.filter.declare import extract_estimates, empty_slots, idle_particles
+from torchdt.filter.declare import empty_slots, extract_estimates, idle_particles
 from torchdt.filter.history import TrackHistory
 from torchdt.filter.placement import Placer
 from torchdt.filter.predict import Predicted, predict

@@ -9,7 +9,7 @@ from torch.distributions import constraints
 
 from torchdt.core.ranges import TINY, Range
 from torchdt.core.support import Support
-from torchdt.model.part import Number, Part, number, append_dims
+from torchdt.model.part import Number, Part, append_dims, number
 from torchdt.model.region import Region
 
 MEAN = Support(Range("a positive number", low=0, open_low=True, least=TINY, most=1e4), constraints.positive)

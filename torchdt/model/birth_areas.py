@@ -11,7 +11,7 @@ from torch import Tensor
 from torchdt.core.errors import require
 from torchdt.core.ranges import Finite, Positive, check
 from torchdt.model.birth import MEAN
-from torchdt.model.part import Number, Part, number, append_dims
+from torchdt.model.part import Number, Part, append_dims, number
 from torchdt.model.region import Region
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchdt.core.errors import require
 from torchdt.core.support import POSITIVE
 from torchdt.model.motion.base import BaseMotion
-from torchdt.model.part import Number, number, append_dims
+from torchdt.model.part import Number, append_dims, number
 from torchdt.model.region import Coordinate, Region
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from torchdt.core.weights import normalise, weighted_mean
 from torchdt.model.gamma_chain import SHAPE, predict_chain, predicted_uniform_prior
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood
-from torchdt.model.part import Number, Part, number, append_dims
+from torchdt.model.part import Number, Part, append_dims, number
 from torchdt.model.prior import Priors, resolvable_noise
 from torchdt.model.region import Region
 

@@ -6,7 +6,7 @@ from typing import ClassVar
 from torch import Tensor
 
 from torchdt.model.gamma_chain import SHAPE, predict_chain, uniform_prior, uniform_prior_around
-from torchdt.model.part import Number, Part, number, append_dims
+from torchdt.model.part import Number, Part, append_dims, number
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from torchdt.core.support import UP_TO_ONE
-from torchdt.model.part import Number, Part, number, append_dims
+from torchdt.model.part import Number, Part, append_dims, number
 
 LOWEST, HIGHEST = 1e-4, 10.0
 """Powers over their mean between which support points are spread; a power lies below with a
