@@ -30,6 +30,7 @@ from torchdt.app.settings import TrackSettings, settings_of
 from torchdt.baselines.detect.points import Points
 from torchdt.baselines.two_step import TwoStepConfig, TwoStepTracker
 from torchdt.core.errors import require
+from torchdt.core.trees import tree_map
 from torchdt.data.recording import Recording
 from torchdt.filter.history import TrackHistory
 
@@ -112,7 +113,7 @@ def write_results(
 ) -> None:
     """Tables and the picture of direct tracking; GOSPA in degrees."""
     assert recording.truth is not None
-    history = TrackHistory(*(t.cpu() for t in history))
+    history = tree_map(lambda t: t.cpu(), history)
     position = history.position.double()
     gospa = sky_gospa(position, history.declared & _is_up(position), recording.truth)
     write_json(directory / "metrics.json", metrics_summary("direct", history, gospa, settings.seed, seconds))

@@ -16,6 +16,7 @@ from torchdt.app.report.hparams import row_metrics, row_settings
 from torchdt.app.report.tensorboard import TensorBoardReport
 from torchdt.app.score import score_step
 from torchdt.app.settings import TrackSettings
+from torchdt.core.trees import tree_map
 from torchdt.data.recording import Recording
 from torchdt.filter.history import TrackHistory
 from torchdt.model.region import Region
@@ -45,7 +46,7 @@ class LiveReport:
         if sequences.start > 0 or not self.settings.logging.tensorboard:
             return
         first, truth = slice(0, 1), self.recording.truth
-        one = TrackHistory(*(part[first] for part in estimate))
+        one = tree_map(lambda part: part[first], estimate)
         score = score_step(step, one, first, self.recording, self.settings)
         self._opened(step).add_step(
             step,

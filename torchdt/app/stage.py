@@ -21,10 +21,10 @@ from torchdt.app.report.files import write_figures
 from torchdt.app.score import score_history
 from torchdt.app.settings import TrackSettings
 from torchdt.app.suite import SuiteSettings, score
+from torchdt.core.trees import tree_map
 from torchdt.data.prepare import prepare
 from torchdt.data.recording import Recording
 from torchdt.field.base import BaseField
-from torchdt.filter.history import TrackHistory
 from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.model.region import Region
 from torchdt.simulation.visibility import hidden_steps
@@ -84,7 +84,7 @@ def assess(scenario: str, stage: Stage, track_settings: TrackSettings, settings:
     tracker = build_tracker(track_settings, recording, stage.field)
     ready = time.perf_counter()
     tracked = track_in_chunks(track_settings, recording, tracker, stage.seeds)
-    history = TrackHistory(*(part.cpu() for part in tracked))
+    history = tree_map(lambda part: part.cpu(), tracked)
     end = time.perf_counter()
     quality = dataclasses.replace(
         score(scenario, history, recording, track_settings, settings),

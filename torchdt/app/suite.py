@@ -16,9 +16,10 @@ from torchdt.app.score import score_history
 from torchdt.app.settings import TrackSettings, settings_of
 from torchdt.core.errors import require
 from torchdt.core.ranges import Checked, Name, NotNegative, Positive, StepIndex
+from torchdt.core.trees import tree_map
 from torchdt.data.recording import Recording
 from torchdt.filter.history import TrackHistory
-from torchdt.metrics import Gospa, tgospa, track_delays, trajectories
+from torchdt.metrics import tgospa, track_delays, trajectories
 from torchdt.simulation.visibility import hidden_steps
 
 
@@ -87,7 +88,7 @@ def score(
     assert result is not None
     assert truth is not None
     hidden = hidden_steps(scenario, truth[0], settings.separation)
-    visible = Gospa(*(part[:, ~hidden] for part in result))
+    visible = tree_map(lambda part: part[:, ~hidden], result)
     by_run = visible.total.mean(-1)
     gamma = settings.switch_cost * scenario.gospa_cutoff
     cutoff, order, distance = scenario.gospa_cutoff, scenario.gospa_order, scenario.distance

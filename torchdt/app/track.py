@@ -29,6 +29,7 @@ from torchdt.app.report.tables import print_summary
 from torchdt.app.resume import RunCheckpoint, fingerprint_of
 from torchdt.app.score import score_history
 from torchdt.app.settings import TrackSettings, settings_of
+from torchdt.core.trees import tree_map
 from torchdt.data.recording import Recording
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.history import TrackHistory
@@ -126,7 +127,7 @@ def write_results(
     live: LiveReport,
 ) -> None:
     """Tables first, then figures, and what the event files of the first run lack."""
-    history = TrackHistory(*(t.cpu() for t in history))
+    history = tree_map(lambda t: t.cpu(), history)
     metrics = metrics_summary(name, history, score, settings.seed, seconds)
     write_json(directory / "metrics.json", metrics)
     write_tracks_csv(directory / "tracks.csv", history, recording.times(), tracker.region.column_names)

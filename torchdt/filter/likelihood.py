@@ -7,10 +7,10 @@ from torch.utils.checkpoint import checkpoint
 from torchdt.core.errors import require
 from torchdt.core.linalg import BREAKDOWN, NumericalError
 from torchdt.core.random import RandomStreams
+from torchdt.core.trees import tree_map
 from torchdt.filter.direct import DirectTracker
-from torchdt.filter.state import Objects, TrackerState
+from torchdt.filter.state import TrackerState
 from torchdt.model.measurement import Measurement
-from torchdt.model.noise.base import Noise
 from torchdt.model.prior import Priors
 
 
@@ -96,7 +96,4 @@ class _Segment:
 
 
 def _cut(state: TrackerState) -> TrackerState:
-    objects, noise, label = state
-    return TrackerState(
-        Objects(*(t.detach() for t in objects)), Noise(*(t.detach() for t in noise)), label.detach()
-    )
+    return tree_map(Tensor.detach, state)

@@ -6,7 +6,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from torchdt.core.trees import put_sequences, select, take_sequences
+from torchdt.core.trees import put_sequences, select, take_sequences, tree_map
 from torchdt.field.base import BaseField
 from torchdt.filter.bp.moments import signal_covariance
 from torchdt.filter.bp.schedule import Beliefs, initial_beliefs
@@ -86,7 +86,7 @@ class Placer:
                 favour=lambda position: log_odds(position) - append_dims(top, position.ndim - 1 - top.ndim),
                 noise_model=self.model.noise,
             )
-        explained = Noise(*(t.detach() for t in explained))
+        explained = tree_map(Tensor.detach, explained)
         current = first._replace(beliefs=first.beliefs._replace(noise=explained))
         if picks is None:
             return current

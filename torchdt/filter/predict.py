@@ -6,6 +6,7 @@ from torch import Tensor
 
 from torchdt.core.mixture import GaussianMixture, cluster_moments
 from torchdt.core.resampling import scale_tril
+from torchdt.core.trees import tree_map
 from torchdt.core.weights import normalise
 from torchdt.field.base import BaseField
 from torchdt.filter.bp.schedule import Beliefs, as_belief, initial_beliefs
@@ -61,7 +62,7 @@ def predict(
     """
     dim = state.objects.log_odds.ndim - 1
     occupied = max(1, int(state.objects.log_odds.isfinite().sum(-1).max()))
-    old = Objects(*(t.narrow(dim, 0, occupied) for t in state.objects))
+    old = tree_map(lambda t: t.narrow(dim, 0, occupied), state.objects)
     moved, log_ratio = model.motion.predict(old.state, draws.narrow(dim, 0, occupied), step_s, gradient)
     power = model.power.predict(old.power, old.log_power_weight)
     log_weight, log_inside = condition_inside(moved, old.log_weight + log_ratio, region)

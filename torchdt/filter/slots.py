@@ -6,6 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchdt.core.trees import tree_map
 from torchdt.filter.bp.schedule import Beliefs, strongest_first
 from torchdt.filter.state import Objects
 
@@ -38,7 +39,7 @@ def take_rows(tensor: Tensor, index: Tensor) -> Tensor:
 
 def take_slots(objects: Objects, index: Tensor) -> Objects:
     """Objects at `(*batch, N')` slot indices of `(*batch, N)`."""
-    return Objects(*(take_rows(t, index) for t in objects))
+    return tree_map(lambda t: take_rows(t, index), objects)
 
 
 def fit_slots(objects: Objects, template: Objects) -> Objects:

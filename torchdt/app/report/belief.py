@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torchdt.baselines.mot.tracker import PointState
+from torchdt.core.trees import tree_map
 from torchdt.filter.history import TrackHistory
 from torchdt.filter.state import TrackerState
 
@@ -50,4 +51,4 @@ def belief_of(state: object, estimate: TrackHistory) -> Belief | None:
         )
     else:
         return None
-    return Belief(*(t.detach().cpu() for t in belief))
+    return tree_map(lambda t: t.detach().cpu(), belief)

@@ -9,6 +9,7 @@ from torchdt.baselines.detect.peaks import Grid, close, find_peaks
 from torchdt.baselines.detect.points import Points
 from torchdt.baselines.detect.spectrum import converge, flatten, spread
 from torchdt.core.errors import require
+from torchdt.core.trees import tree_map
 from torchdt.field.base import Field
 from torchdt.filter.bp.moments import weighted_moment
 from torchdt.filter.bp.rank_one import peak_log_likelihood_ratio, statistics, whiten
@@ -71,4 +72,4 @@ class SparseBayesianLearning:
         gain, power = test(position.unsqueeze(-2))
         points = Points(position, gain[..., 0].sum(-1), power[..., 0], present, active.noise)
         points = points.strongest_first().above(cfg.threshold)
-        return Points(*(t.reshape(batch + t.shape[1:]) for t in points))
+        return tree_map(lambda t: t.reshape(batch + t.shape[1:]), points)

@@ -12,6 +12,7 @@ from torchdt.baselines.mot.config import PointConfig
 from torchdt.baselines.mot.likelihood import PointLikelihood
 from torchdt.baselines.mot.update import update
 from torchdt.core.random import RandomStreams
+from torchdt.core.trees import tree_map
 from torchdt.core.weights import effective_sample_size, normalise, standard_deviation, weighted_mean
 from torchdt.data.prepare import require_step
 from torchdt.filter.declare import declare, idle_particles, prune, put_idle
@@ -156,7 +157,7 @@ class PointTracker:
     def _predict(self, objects: PointObjects, draws: Tensor) -> PointObjects:
         """Move the objects; slots that are empty throughout the batch are left out."""
         dim, occupied = objects.log_odds.ndim - 1, _largest_number(objects)
-        old = PointObjects(*(t.narrow(dim, 0, occupied) for t in objects))
+        old = tree_map(lambda t: t.narrow(dim, 0, occupied), objects)
         driving = draws.narrow(dim, 0, occupied)
         particles, _ = self.motion.predict(old.particles, driving, self.step_s, Reparameterised())
         log_weight, log_inside = condition_inside(particles, old.log_weight, self.region)

@@ -8,6 +8,7 @@ configuration is that of the mixture.
 
 import itertools
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -16,7 +17,7 @@ from torch.nn.functional import logsigmoid
 
 from torchdt.core.random import RandomStreams
 from torchdt.core.resampling import invert_cumulative
-from torchdt.core.trees import put, take
+from torchdt.core.trees import put, take, tree_map
 from torchdt.filter.bp.messages import ObjectBelief, object_belief
 from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.bp.schedule import Beliefs, as_belief, background
@@ -172,7 +173,7 @@ def labellings(
             at = torch.full_like(prior.label[..., 0], slot)
             others = background(beliefs, measurement, torch.full_like(at, place), noise_model=noise_model)
             whitener = whiten(measurement, others)
-            one = ObjectBelief(*(take(t, at) for t in as_belief(prior)))
+            one = tree_map(partial(take, index=at), as_belief(prior))
             belief = object_belief(whitener, take(response, at), take(prior.power, at), one)
             exchanged = ObjectBelief(*(put(t, at, v) for t, v in zip(exchanged, belief, strict=True)))
         components.append(exchanged)

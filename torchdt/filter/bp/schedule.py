@@ -7,12 +7,13 @@ may oscillate for ever where objects overlap.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
-from torchdt.core.trees import put, take
+from torchdt.core.trees import put, take, tree_map
 from torchdt.core.weights import weighted_mean
 from torchdt.filter.bp.messages import ObjectBelief, object_belief
 from torchdt.filter.bp.moments import response_moment, signal_covariance, signal_without_each, without
@@ -103,7 +104,7 @@ def store(beliefs: Beliefs, index: Tensor, slot: ObjectBelief, power: Tensor, mo
         moment = moment + take(beliefs.diffuse, index)
     strength = torch.sigmoid(slot.log_odds)[..., None] * mean_power
     return beliefs._replace(
-        objects=ObjectBelief(*(put(old, index, new) for old, new in zip(beliefs.objects, slot, strict=True))),
+        objects=tree_map(lambda old, new: put(old, index, new), beliefs.objects, slot),
         moment=put(beliefs.moment, index, moment),
         strength=put(beliefs.strength, index, strength),
         power=put(beliefs.power, index, mean_power),
@@ -153,7 +154,7 @@ class Sequential:
             index = order[..., visit]
             whitener = whiten(measurement, background(beliefs, measurement, index, noise_model=noise_model))
             slot_response, slot_power = take(response, index), take(prior.power, index)
-            slot_prior = ObjectBelief(*(take(t, index) for t in as_belief(prior)))
+            slot_prior = tree_map(partial(take, index=index), as_belief(prior))
             slot = object_belief(whitener, slot_response, slot_power, slot_prior)
             beliefs = store(beliefs, index, slot, slot_power, response_moment(slot_response, slot.log_weight))
         return beliefs

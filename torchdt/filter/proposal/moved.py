@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -9,10 +10,10 @@ from torch import Tensor
 
 from torchdt.core.importance import adapt
 from torchdt.core.mixture import GaussianMixture, deal, of_component
-from torchdt.core.trees import take
+from torchdt.core.trees import take, tree_map
 from torchdt.core.weights import normalise, weighted_mean
 from torchdt.field.base import BaseField, Field
-from torchdt.filter.bp.messages import ObjectBelief, object_belief, state_message
+from torchdt.filter.bp.messages import object_belief, state_message
 from torchdt.filter.bp.moments import response_moment
 from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.bp.schedule import Beliefs, as_belief, background, store
@@ -108,7 +109,7 @@ def propose_adapted(
     for slot in range(num_objects):
         index = torch.full_like(predicted.label[..., 0], slot)
         whitener = whiten(measurement, background(beliefs, measurement, index, found, noise_model))
-        slot_prior = ObjectBelief(*(take(t, index) for t in as_belief(predicted)))
+        slot_prior = tree_map(partial(take, index=index), as_belief(predicted))
         power = take(predicted.power, index)
 
         def log_likelihood(state: Tensor) -> Tensor:
