@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -9,7 +10,6 @@ from torch import Tensor
 from torchdt.core.errors import InputError, require
 from torchdt.data.recording import Recording
 from torchdt.field.base import Field
-from torchdt.filter.config import TrackerConfig
 from torchdt.model.measurement import Measurement, from_covariance, from_snapshots
 from torchdt.model.prior import Priors, data_priors, data_scale
 from torchdt.model.region import Region
@@ -19,6 +19,18 @@ LARGEST = 1e150
 
 FAR = 1e30
 """Factor between a limit of a prior and the mean square of the data that single precision can still bear."""
+
+
+class Limits(Protocol):
+    """Limits of the priors in squared data units, as the settings of a tracker have them.
+
+    Attributes:
+        power_max: of the power of a new object; None takes it from the data.
+        noise_max: of the noise variance before the first step; None takes it from the data.
+    """
+
+    power_max: float | None
+    noise_max: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +69,7 @@ def prepare(
     recording: Recording,
     field: Field,
     region: Region,
-    config: TrackerConfig | None = None,
+    limits: Limits | None = None,
     effective_count: Tensor | float | None = None,
 ) -> Prepared:
     """Scale a recording and set the priors that the configuration leaves to the data.
@@ -66,7 +78,7 @@ def prepare(
         recording: B sequences.
         field: what the tones and sensors of the recording must fit.
         region: gives type and device of the result.
-        config: limits of the priors, where they are set; None takes them from the data.
+        limits: of the priors, where they are set; None takes them from the data.
         effective_count: what every sample covariance is to count as; None leaves it to the data.
 
     Raises:
@@ -104,7 +116,7 @@ def prepare(
         measurement = from_snapshots(scaled)
     priors = data_priors(measurement)
     for name in priors._fields:
-        limit = None if config is None else getattr(config, name)
+        limit = None if limits is None else getattr(limits, name)
         if limit is not None:
             like: Tensor = getattr(priors, name)
             priors = priors._replace(**{name: _in_units(name, limit, scale).to(like).expand_as(like)})
