@@ -50,7 +50,7 @@ class Array(BaseField):
 
 def track(mapping: Tensor, snapshots: Tensor, model: Model, share: float, config: dict) -> TrackHistory:
     tracker = DirectTracker(
-        Array(mapping, share), make_region(), 1.0, TrackerConfig(**SMALL, **config), model
+        Array(mapping, share), make_region(), 1.0, TrackerConfig(**(SMALL | config)), model
     )
     streams = RandomStreams.from_seeds([7], (1,), F64)
     with torch.inference_mode():
