@@ -66,7 +66,8 @@ def uniform_prior(maximum: Tensor, num_points: int, decades: float = 7.0) -> tup
     Args:
         maximum: `(*batch,)` positive.
         num_points: G.
-        decades: points reach down to `maximum * 10**-decades`; the density below is left out.
+        decades: points reach down to `maximum * 10**-decades`; the density below is left out: a probability of
+            1e-7.
 
     Returns:
         Support points and normalised log-weights (each point stands for its logarithmic bin).
@@ -90,7 +91,8 @@ def predicted_uniform_prior(
         maximum: `(*batch,)` positive, before the transition.
         num_points: E.
         shape: c, at least `LEAST_SHAPE`.
-        decades: points reach down by so many; the density below is left out.
+        decades: points reach down by so many; the density below is left out. Seven hold noise 70 dB below
+            the energy of a sensor.
 
     Returns:
         Support points, each the mean of a bin, and normalised log-weights, `(*batch, E)`. Bins are evenly
@@ -123,7 +125,8 @@ def uniform_prior_around(
         scale: `(*batch,)` positive, where the likelihood lies.
         maximum: `(*batch,)` positive.
         num_points: G.
-        reach: how far the points go below and above the scale, natural logarithm.
+        reach: how far the points go below and above the scale, natural logarithm: 13 and 17 dB. With one
+            snapshot a power is known to a factor of e, and errs on the low side more often.
 
     Returns:
         Support points and log-weights `(*batch, G)`; each point stands for its logarithmic bin.

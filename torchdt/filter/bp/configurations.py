@@ -27,7 +27,8 @@ from torchdt.model.noise.base import Noise, NoiseModel
 from torchdt.model.noise.white import WHITE
 
 DOUBT = 0.01
-"""Neither existence nor absence is drawn with a smaller probability: BP may be too sure of one of them."""
+"""Neither existence nor absence is drawn with a smaller probability: BP may be too sure of one of them,
+and a weight is then at most a hundred times what it would be. Another value: docs/quality.md."""
 
 
 class UniformDraws(NamedTuple):

@@ -91,7 +91,11 @@ def drop_foreign(position: Tensor, log_weight: Tensor, places: Box, active: Tens
 
 
 def place_of(fitted: Gaussian, box: Box) -> Box:
-    """Where a pick sees its object: within three deviations of what was fitted to it, in its box."""
+    """Where a pick sees its object: within three deviations of what was fitted to it, in its box.
+
+    The fit is inflated: these are more than four deviations of the likelihood, beyond which there is less of
+    an object than evidence can tell.
+    """
     reach = 3 * torch.linalg.vector_norm(fitted.tril, dim=-1)
     return Box(torch.maximum(fitted.mean - reach, box.low), torch.minimum(fitted.mean + reach, box.high))
 

@@ -36,7 +36,8 @@ from torchdt.model.region import Region
 
 ADAPTED = Adapted()
 UNSETTLED = 0.25
-"""Variance of the logarithm of a noise variance from which on the noise level counts as unknown."""
+"""Variance of the logarithm of a noise variance from which on the noise level counts as unknown: a factor of
+1.6 either way, while after a step of data on I x M x J values it is known to some per cent."""
 
 
 Favour = Callable[[Tensor], Tensor]
