@@ -66,8 +66,8 @@ def uniform_prior(maximum: Tensor, num_points: int, decades: float = 7.0) -> tup
     Args:
         maximum: `(*batch,)` positive.
         num_points: G.
-        decades: points reach down to `maximum * 10**-decades`; the density below is left out: a probability of
-            1e-7.
+        decades: points reach down to `maximum * 10**-decades`; the density below it, 1e-7 in all,
+            is left out.
 
     Returns:
         Support points and normalised log-weights (each point stands for its logarithmic bin).
