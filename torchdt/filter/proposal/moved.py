@@ -123,9 +123,8 @@ def propose_adapted(
             """Of particles in their components."""
             return prediction.log_prob(state, component) - prediction.log_share(component)  # noqa: B023
 
-        state, log_ratio = gradient.attach(
-            drawn.state, prediction.sample(drawn.white, component), log_density
-        )
+        moving = prediction.sample(drawn.white, component)
+        state, log_ratio = gradient.attach(drawn.state, moving, log_density, drawn.log_prior)
         # Which component a particle belongs to does not move with the parameters.
         log_prior = drawn.log_prior + log_ratio + prediction.log_share(component)
         log_weight = log_prior - drawn.log_proposal

@@ -21,7 +21,11 @@ class Gradient(Protocol):
     """How particles depend on the parameters of their density."""
 
     def attach(
-        self, still: Tensor, moving: Tensor, log_density: Callable[[Tensor], Tensor]
+        self,
+        still: Tensor,
+        moving: Tensor,
+        log_density: Callable[[Tensor], Tensor],
+        log_drawn: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Give drawn particles their gradient.
 
@@ -29,9 +33,12 @@ class Gradient(Protocol):
             still: `(*batch, P, d)` the particles, without gradient.
             moving: the same as a function of the parameters.
             log_density: maps particles to `(*batch, P)`.
+            log_drawn: `(*batch, P)` log-density that they were drawn with; None is that of the parameters as
+                they are.
 
         Returns:
-            Particles, and a log-ratio `(*batch, P)` for their log-weights: zero, but for its gradient.
+            Particles, and a log-ratio `(*batch, P)` for their log-weights: of the density as it is to that
+            which they were drawn with, or zero where they move.
         """
         ...
 
@@ -41,11 +48,15 @@ class Score:
     """Particles stay, weights move with the parameters."""
 
     def attach(
-        self, still: Tensor, moving: Tensor, log_density: Callable[[Tensor], Tensor]
+        self,
+        still: Tensor,
+        moving: Tensor,
+        log_density: Callable[[Tensor], Tensor],
+        log_drawn: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """See `Gradient.attach`."""
-        log_ratio = log_density(still)
-        return still, log_ratio - log_ratio.detach()
+        log_now = log_density(still)
+        return still, log_now - (log_now.detach() if log_drawn is None else log_drawn)
 
 
 @dataclass(frozen=True)
@@ -53,7 +64,11 @@ class Reparameterised:
     """Particles move with the parameters."""
 
     def attach(
-        self, still: Tensor, moving: Tensor, log_density: Callable[[Tensor], Tensor]
+        self,
+        still: Tensor,
+        moving: Tensor,
+        log_density: Callable[[Tensor], Tensor],
+        log_drawn: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """See `Gradient.attach`."""
         return moving, torch.zeros_like(moving[..., 0])
