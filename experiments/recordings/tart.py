@@ -27,6 +27,7 @@ from torchdt.app.report.files import (
     write_tracks_csv,
 )
 from torchdt.app.settings import TrackSettings, settings_of
+from torchdt.app.targets import build_config
 from torchdt.baselines.detect.points import Points
 from torchdt.baselines.two_step import TwoStepConfig, TwoStepTracker
 from torchdt.core.errors import require
@@ -46,6 +47,10 @@ class SkySettings(TrackSettings):
     """
 
     conventional: TwoStepConfig = dataclasses.field(default_factory=TwoStepConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        build_config(self.conventional)
 
 
 ConfigStore.instance().store(name="sky_schema", node=SkySettings)

@@ -114,7 +114,7 @@ def test_scenario_that_makes_no_sense(launch, override, words):
     ("override", "words"),
     [
         ("field._target_=torchdt.nowhere", ("key 'field'", "'torchdt.nowhere'")),
-        ("field._target_=builtins.dict", ("key 'field._target_'", "found dict", "torchdt.field.Field")),
+        ("field._target_=builtins.dict", ("key 'field._target_'", "found dict", "torchdt.field.base.Field")),
         ("+field.speed=3", ("key 'field'", "unexpected keyword argument 'speed'")),
         ("~field.wave_speed", ("key 'field'", "missing 1 required", "'wave_speed'")),
         ("field.wave_speed=-1", ("key 'field.wave_speed'", "found -1", "expected a positive number")),

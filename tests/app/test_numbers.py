@@ -63,8 +63,12 @@ def _is_number(node: object) -> bool:
 
 
 def built_of(config: DictConfig, name: str) -> DictConfig:
-    """The least of a configuration whose making checks a number: its group, or all of it."""
-    node = config._get_node(name.partition(".")[0])
+    """The least of a configuration whose making checks a number: its group, or all of it.
+
+    Parts of a tracker, such as `tracker.resampler`, are made with all settings.
+    """
+    group, *rest = name.split(".")
+    node = config if group in ("tracker", "conventional") and len(rest) > 1 else config._get_node(group)
     return node if isinstance(node, DictConfig) and is_dataclass(OmegaConf.get_type(node)) else config
 
 
