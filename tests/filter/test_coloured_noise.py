@@ -13,6 +13,8 @@ from torch import Tensor
 from torchdt.core.errors import InputError
 from torchdt.core.random import RandomStreams
 from torchdt.field.base import BaseField
+from torchdt.filter.bp.evidence import GaussianEvidence
+from torchdt.filter.bp.schedule import Flooding
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.history import TrackHistory
@@ -63,7 +65,7 @@ def track(mapping: Tensor, snapshots: Tensor, model: Model, share: float, config
         ([], 0.0, {}),
         ([1, 6], 0.0, {}),
         ([1, 6], 0.1, {}),
-        ([1, 6], 0.1, {"schedule": "flooding", "evidence": "gaussian"}),
+        ([1, 6], 0.1, {"schedule": Flooding(), "evidence": GaussianEvidence()}),
         ([1, 6], 0.0, {"proposal": AsPredicted()}),
     ],
 )
