@@ -63,7 +63,8 @@ def test_usual_settings_exist(text):
     assert len(keys) >= 4
     settings = out.partition("\nSettings, ")[2].splitlines()
     names = {line.split(":")[0].strip(" -") for line in settings} | set(GROUPS)
-    assert [key for key in keys if key.rpartition(".")[2] not in names] == []
+    parts = {f"{path.parent.parent.name}/{path.parent.name}" for path in configured("*/*/*.yaml").values()}
+    assert [key for key in keys if key.rpartition(".")[2] not in names | parts] == []
 
 
 def test_launchers(text):

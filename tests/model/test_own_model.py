@@ -12,6 +12,7 @@ from oracles.scripts import call, load
 
 from torchdt.app.targets import PROTOCOLS
 from torchdt.model.motion.base import Motion
+from torchdt.model.motion.driving import Score
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "own_model.md").read_text()
@@ -40,7 +41,7 @@ def test_the_example_is_an_ornstein_uhlenbeck_process(mine):
     motion = names["model"].on(make_region()).motion
     assert isinstance(motion, Motion)
     state = torch.tensor([[[1.0, 2.0]]], dtype=torch.float64)
-    moved, _ = motion.predict(state, torch.zeros(1, 1, 1, dtype=torch.float64), 10.0, "score")
+    moved, _ = motion.predict(state, torch.zeros(1, 1, 1, dtype=torch.float64), 10.0, Score())
     expected = [
         1 + 2 * (1 - torch.exp(torch.tensor(-0.5)).item()) / 0.05,
         2 * torch.exp(torch.tensor(-0.5)).item(),

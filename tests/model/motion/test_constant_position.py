@@ -14,6 +14,7 @@ from torchdt.baselines.two_step import TwoStepConfig, TwoStepTracker
 from torchdt.core.random import RandomStreams
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
+from torchdt.filter.proposal.as_predicted import AsPredicted
 from torchdt.model.measurement import from_snapshots
 from torchdt.model.model import Model
 from torchdt.model.motion.base import BaseMotion, Motion
@@ -56,11 +57,11 @@ def tracker_of(kind: str) -> DirectTracker | TwoStepTracker:
     if kind == "two steps":
         config = TwoStepConfig(slots=4, particles=200)
         return TwoStepTracker(make_field(), make_region(), 1.0, config, ConstantPosition())
-    config = TrackerConfig(**SMALL, proposal=kind)
+    config = TrackerConfig(**(SMALL | ({"proposal": AsPredicted()} if kind == "as predicted" else {})))
     return DirectTracker(make_field(), make_region(), 1.0, config, Model(motion=ConstantPosition()))
 
 
-@pytest.mark.parametrize("kind", ["adapted", "prior", "two steps"])
+@pytest.mark.parametrize("kind", ["adapted", "as predicted", "two steps"])
 def test_every_tracker_follows_an_object_without_rates(data, kind):
     measurement, truth = data
     tracker, last = tracker_of(kind), []

@@ -10,6 +10,7 @@ from torchdt.model.model import Model
 from torchdt.model.motion.base import Motion
 from torchdt.model.motion.constant_turn import ConstantTurn
 from torchdt.model.motion.constant_velocity import predict_moments, predict_state
+from torchdt.model.motion.driving import Reparameterised, Score
 from torchdt.model.region import Coordinate, Region
 
 F64 = torch.float64
@@ -71,7 +72,7 @@ def test_moments_are_those_of_moved_samples():
     mean = torch.tensor([10.0, 5.0, 3.0, -1.0, 0.2], dtype=F64)
     covariance = torch.diag(torch.tensor([1.0, 2.0, 0.1, 0.2, 1e-3], dtype=F64))
     state = mean + torch.randn(1, number, 5, dtype=F64) @ covariance.sqrt()
-    moved, log_ratio = MOTION.predict(state, torch.randn(1, number, 3, dtype=F64), T, "score")
+    moved, log_ratio = MOTION.predict(state, torch.randn(1, number, 3, dtype=F64), T, Score())
     assert log_ratio.eq(0).all()
     found_mean, found = MOTION.moments(mean[None], covariance[None], T)
     sampled = moved[0].T.cov()
@@ -98,7 +99,7 @@ def test_numbers_of_its_own_may_differ_between_sequences():
     model = model.with_numbers({"turn_variance": torch.tensor([1e-6, 4e-2])})
     assert isinstance(model.motion, Motion)
     state = torch.zeros(2, 1, 50, 5, dtype=F64)
-    moved, _ = model.motion.predict(state, torch.ones(2, 1, 50, 3, dtype=F64), 1.0, "score")
+    moved, _ = model.motion.predict(state, torch.ones(2, 1, 50, 3, dtype=F64), 1.0, Score())
     torch.testing.assert_close(moved[:, 0, 0, 4], torch.tensor([1e-3, 0.2], dtype=F64))
 
 
@@ -108,7 +109,7 @@ def test_gradient_reaches_the_turn_variance():
 
     def moved(variance):
         motion = MOTION.with_numbers({"turn_variance": variance})
-        return motion.predict(state, draws, 1.0, "reparameterised")[0]
+        return motion.predict(state, draws, 1.0, Reparameterised())[0]
 
     assert torch.autograd.gradcheck(moved, torch.tensor(1e-2, dtype=F64, requires_grad=True))
 
