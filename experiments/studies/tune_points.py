@@ -165,9 +165,10 @@ def two_step(settings: TrackSettings) -> TwoStepConfig:
     Raises:
         InputError: where they are those of another one.
     """
-    if not isinstance(settings.tracker, TwoStepConfig):
-        raise InputError.of_key("method", type(settings.tracker).__name__, "a two-step tracker")
-    return settings.tracker
+    config = settings.built_tracker
+    if not isinstance(config, TwoStepConfig):
+        raise InputError.of_key("method", type(config).__name__, "a two-step tracker")
+    return config
 
 
 def encode(config: TwoStepConfig, region: Region) -> Tensor:

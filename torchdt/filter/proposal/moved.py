@@ -193,7 +193,8 @@ def draw_adapted(
     strata = deal(_shares(predicted.log_weight, log_evidence, proposal.share), number)
     # All components draw every particle, and it is that of its own.
     final = final.unsqueeze(-3).expand(*each, -1, -1)
-    num_prior = (proposal.share * strata.size).round().clamp_min(1)
+    size = strata.size.to(final.dtype)
+    num_prior = (proposal.share * size).round().clamp_min(1)
     as_prior = strata.rank.unsqueeze(-2) < num_prior[..., None]
     position = torch.where(
         as_prior[..., None], prior.sample(final[..., :d]), proposal.fitted.sample(final[..., :d])
@@ -201,7 +202,7 @@ def draw_adapted(
     state, white = with_rates(position, final[..., d:])
     log_position, log_fitted = prior.log_prob(position), proposal.fitted.log_prob(position)
     log_state = predicted.components.log_prob(state)
-    num_fitted = strata.size - num_prior
+    num_fitted = size - num_prior
     log_drawn = torch.logaddexp(
         log_position + num_prior.log()[..., None], log_fitted + num_fitted.log()[..., None]
     )
