@@ -21,7 +21,7 @@ from torchdt.filter.bp.moments import response_moment, signal_covariance
 from torchdt.filter.bp.rank_one import peak_log_likelihood_ratio, statistics, whiten
 from torchdt.filter.paper import messages
 from torchdt.filter.paper.config import PaperConfig
-from torchdt.filter.paper.tracker import Draws, PaperTracker
+from torchdt.filter.paper.tracker import PaperDraws, PaperTracker
 from torchdt.filter.proposal.moved import respond
 from torchdt.filter.proposal.strongest import strongest_cell
 from torchdt.filter.state import Objects, TrackerState
@@ -34,12 +34,12 @@ from torchdt.run.track import track
 class PicksOfTheUnexplained(PaperTracker):
     """Cells where one more object raises the likelihood most, given known objects, noise, earlier picks."""
 
-    def predict_objects(self, objects: Objects, draws: Draws) -> Objects:
+    def predict_objects(self, objects: Objects, draws: PaperDraws) -> Objects:
         """Remember what is known."""
         self.known = super().predict_objects(objects, draws)
         return self.known
 
-    def predict_noise(self, noise: Noise, draws: Draws) -> Noise:
+    def predict_noise(self, noise: Noise, draws: PaperDraws) -> Noise:
         """Remember what is known."""
         self.noise = super().predict_noise(noise, draws)
         return self.noise
@@ -70,19 +70,19 @@ class SupportPoints(PaperTracker):
         noise = self.model.noise.initial(priors.noise_max, self.config.noise_particles)
         return super().init(priors)._replace(noise=noise)
 
-    def predict_objects(self, objects: Objects, draws: Draws) -> Objects:
+    def predict_objects(self, objects: Objects, draws: PaperDraws) -> Objects:
         """States as ever."""
         known = super().predict_objects(objects, draws)
         old = (t[:, : known.label.shape[-1]] for t in (objects.power, objects.log_power_weight))
         power, log_weight = self.model.power.predict(*old)
         return known._replace(power=power, log_power_weight=log_weight)
 
-    def predict_noise(self, noise: Noise, draws: Draws) -> Noise:
+    def predict_noise(self, noise: Noise, draws: PaperDraws) -> Noise:
         """One transition, but not before the first step."""
         first, self.first = self.first, False
         return noise if first else self.model.noise.predict(noise)
 
-    def place_newborn(self, measurement: Measurement, priors: Priors, draws: Draws) -> Objects:
+    def place_newborn(self, measurement: Measurement, priors: Priors, draws: PaperDraws) -> Objects:
         """Powers evenly spaced in the logarithm."""
         born = super().place_newborn(measurement, priors, draws)
         points = self.model.power.initial(priors.power_max, self.config.power_particles)

@@ -6,6 +6,7 @@ from oracles.line_array import make_field, make_region, simulate
 
 from benchmarks import sbl
 from torchdt.baselines.detect.config import SblConfig
+from torchdt.baselines.detect.peaks import Grid
 from torchdt.baselines.detect.sbl import SparseBayesianLearning
 from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.model.measurement import from_snapshots
@@ -60,5 +61,5 @@ def test_memory_is_that_of_a_process_of_its_own(rows):
 
 def test_only_high_local_maxima_are_compared():
     power = torch.tensor([0.0, 5.0, 1.0, 0.1, 0.2, 0.1, 1e-3, 4e-3, 0.0, 6e-3])
-    assert sbl.high_peaks(power, (10,)) == {1, 4, 9}  # of 4e-3 at cell 7: below 1e-3 of 5
-    assert sbl.high_peaks(power.double(), (10,)) == {1, 4, 9}
+    assert sbl.high_peaks(power, Grid((10,), (False,))) == {1, 4, 9}  # of 4e-3 at cell 7: below 1e-3 of 5
+    assert sbl.high_peaks(power.double(), Grid((10,), (False,))) == {1, 4, 9}

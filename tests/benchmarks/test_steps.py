@@ -24,7 +24,7 @@ PARTS = [
     "newborn proposal",
     "placement",
     "resampling",
-    "sampled evidence",
+    "evidence",
     "conclusion",
     "whole step",
     "whole step, kept for the gradient",
@@ -78,7 +78,7 @@ def test_the_parts_do_what_the_step_does(tracker, reached):
         _, expected = tracker.step(state, measurement, priors, streams.at(began))
         existence = torch.sigmoid(parts["update"][0]().objects.log_odds)
         _, _, concluded = parts["conclusion"][0]()
-        log_evidence = parts["sampled evidence"][0]()
+        log_evidence = parts["evidence"][0]()
     assert existence.shape == (1, 2)
     torch.testing.assert_close(existence.sort().values, expected.existence[:, :2].sort().values)
     torch.testing.assert_close(concluded.state, expected.state)
@@ -99,7 +99,7 @@ def test_the_newborn_are_the_sources_themselves(tracker, reached):
 def test_the_gradient_reaches_parameters_and_state(tracker, reached):
     forward, backward = (call for call, _ in steps.gradient_parts(tracker, *reached).values())
     assert forward()[1].log_evidence.requires_grad
-    survival = backward()[tracker.model._fields.index("survival")]
+    survival = backward()[list(tracker.model.known()).index("survival")]
     assert survival.isfinite()
     assert survival != 0
 

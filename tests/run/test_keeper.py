@@ -272,7 +272,7 @@ def changed(place, value):
         ("0-0.pt", ["history"], lambda h: [t[:, :0] for t in h], "a history of 0 steps, expected 1 to 6"),
         ("0-0.pt", ["history", 0], lambda t: torch.cat([t, t], 1), "a history of 12 steps, expected 1 to 6"),
         ("0-0.pt", ["history", 0], lambda t: t[:, :3], r"content.history.1: a tensor \(1, 6, 4\) of bool"),
-        ("0-0.pt", ["history", 3], lambda t: t[..., :1], "content.history.3: a tensor"),
+        ("0-0.pt", ["history", 4], lambda t: t[..., :1], "content.history.4: a tensor"),
         ("0-0.pt", ["streams"], lambda _: [], "content.streams: 0 entries, expected 1 entries"),
         ("0-0.pt", ["streams", 0], lambda t: t[:9], r"content.streams.0: a tensor \(9,\) of uint8"),
     ],

@@ -35,7 +35,7 @@ from torchdt.model.prior import Priors
 from torchdt.model.region import Region
 
 
-class Draws(NamedTuple):
+class PaperDraws(NamedTuple):
     """Random numbers of one step.
 
     Attributes:
@@ -185,7 +185,7 @@ class PaperTracker(Tracker[TrackerState]):
         objects, next_label, estimate = report(objects, noise, state, no_evidence, self.region, cfg)
         return TrackerState(empty_slots(objects, self._idle), noise, next_label), estimate
 
-    def draw(self, streams: RandomStreams) -> Draws:
+    def draw(self, streams: RandomStreams) -> PaperDraws:
         """Random numbers of a step, always as many, whatever the other sequences of the batch need."""
         cfg, d, tones = self.config, self.region.num_coordinates, self.field.num_tones
         needed = cfg.resampler.num_uniforms
@@ -195,7 +195,7 @@ class PaperTracker(Tracker[TrackerState]):
             streams.uniform(tones, needed(cfg.noise_particles)),
         )
         extra = self.model.motion.num_extra(d)
-        return Draws(
+        return PaperDraws(
             offsets,
             streams.normal(cfg.slots, cfg.particles, d + extra),
             streams.normal(cfg.slots, cfg.particles, self.model.motion.num_driving(d)),
@@ -206,7 +206,7 @@ class PaperTracker(Tracker[TrackerState]):
             streams.uniform(self.births, tones, cfg.power_particles),
         )
 
-    def predict_objects(self, objects: Objects, draws: Draws) -> Objects:
+    def predict_objects(self, objects: Objects, draws: PaperDraws) -> Objects:
         """Resample states and powers and draw their transitions: alpha and psi.
 
         Slots that are empty throughout the batch are left out. The states have the region as their support;
@@ -238,7 +238,7 @@ class PaperTracker(Tracker[TrackerState]):
             label=old.label,
         )
 
-    def predict_noise(self, noise: Noise, draws: Draws) -> Noise:
+    def predict_noise(self, noise: Noise, draws: PaperDraws) -> Noise:
         """Resample the noise variances and draw their transition: xi."""
         variance = resample_values(noise.variance, noise.log_weight, draws.offsets[2], self.config.resampler)
         variance = variance * draws.noise / append_dims(self.noise_shape, 2)
@@ -248,7 +248,7 @@ class PaperTracker(Tracker[TrackerState]):
         """Cells for new objects, `(*batch, Q)` int64."""
         return pick_cells(self.dictionary, measurement, self.births)
 
-    def place_newborn(self, measurement: Measurement, priors: Priors, draws: Draws) -> Objects:
+    def place_newborn(self, measurement: Measurement, priors: Priors, draws: PaperDraws) -> Objects:
         """New objects in the cells picked, batch `(*batch, Q)`: alpha and psi."""
         return newborn(
             self.dictionary.points[self.pick(measurement)],
