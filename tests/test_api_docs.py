@@ -64,8 +64,9 @@ def test_every_public_function_and_class_appears(described, modules):
 
 def test_there_is_a_page_for_each_package(built):
     pages = {path.stem for path in (built / "modules").glob("torchdt*.html")}
-    packages = {path.parent.name for path in Path(torchdt.__file__).parent.glob("*/__init__.py")} - {"conf"}
-    assert pages == {"torchdt", *(f"torchdt.{package}" for package in packages)}
+    root = Path(torchdt.__file__).parent
+    folders = (path.parent.relative_to(root.parent) for path in root.rglob("__init__.py"))
+    assert pages == {".".join(folder.parts) for folder in folders}
 
 
 def test_attributes_that_share_a_description_keep_their_names(built):
