@@ -19,8 +19,10 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from torchdt.app.build import simulate
 from torchdt.app.settings import settings_of
+from torchdt.app.targets import build_model
 from torchdt.core.errors import InputError
 from torchdt.data.npz import write_npz
+from torchdt.model.model import Model
 from torchdt.tuning.tracker import TrackerObjective
 
 pytestmark = pytest.mark.slow
@@ -233,12 +235,14 @@ def test_checkpoint_of_another_configuration(run):
 
 def test_tuned_configuration(run, launch):
     """Accepted by the tracking script, with overrides, and the values arrive."""
-    assert run.tuned() == {"defaults": ["track", "_self_"], "tracker": run.json()["best"]}
+    best = run.json()["best"]
+    assert run.tuned() == {"defaults": ["track", "_self_"], "model": Model().as_config(best)}
     outcome = launch(f"--config-dir={run.directory}", "--config-name=tuned", "seed=7")
     assert outcome.status == 0, outcome.err
-    tracker = outcome.json("manifest.json")["config"]["tracker"]
-    assert {name: tracker[name] for name in NAMES} == run.json()["best"]
-    assert tracker["particles"] == 100
+    config = outcome.json("manifest.json")["config"]
+    model = build_model(config["model"])
+    assert {name: model.known()[name] for name in NAMES} == best
+    assert config["tracker"]["particles"] == 100
     mean = outcome.json("metrics.json")["gospa"]["mean"]
     assert mean == pytest.approx(run.json()["heldout_gospa"]["after"], rel=1e-4)
 
@@ -277,7 +281,8 @@ def test_environment_and_share(tmp_path, launch):
     assert tuned["field"] == {
         "draw": {k: outcome.json()["best"][k] for k in ("tilt_deg", "eof_coefficients")}
     }
-    assert set(tuned["tracker"]) == {"noise_shape", "survival", "mismatch_share"}
+    assert set(tuned["tracker"]) == {"mismatch_share"}
+    assert set(tuned["model"]) == {"noise", "survival"}
     tracked = launch(f"--config-dir={tmp_path}", "--config-name=tuned", *tone[:2], *tone[3:], small=False)
     assert tracked.status == 0, tracked.err
     config = tracked.json("manifest.json")["config"]

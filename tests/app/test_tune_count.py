@@ -54,11 +54,11 @@ def test_the_true_number_is_learned(tmp_path, paths):
     with (tmp_path / "tuning.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert float(rows[0]["effective_count"]) == pytest.approx(NOMINAL)
-    learned = yaml.safe_load((tmp_path / "tuned.yaml").read_text())["tracker"]["effective_count"]
+    learned = yaml.safe_load((tmp_path / "tuned.yaml").read_text())["model"]["effective_count"]
     assert learned == pytest.approx(TRUE, rel=0.4)
     # The tuned configuration is one of tracking.
     again = settings("track", "data=npz", f"data.path={paths[0]}", f"model.effective_count={learned}")
-    assert again.direct.effective_count == learned
+    assert again.statistical_model.effective_count == learned
 
 
 def test_files_of_another_kind_are_read_as_data_says(tmp_path):

@@ -131,9 +131,9 @@ def _quantities(
         num_snapshots: nominal number behind each covariance; None for snapshots, which are not up for tuning.
     """
     known = settings.statistical_model.on(build_region(settings, torch.float64)).all_quantities()
-    count = known.pop("effective_count")
-    if num_snapshots is not None:
-        known["effective_count"] = count if count.value is not None else count._replace(value=num_snapshots)
+    count = known["effective_count"]
+    if num_snapshots is None or count.value is None:
+        known["effective_count"] = count._replace(value=num_snapshots)
     own = build_region(settings, settings.torch_dtype)
     if field.incoherent(of_each(field, own.complete(own.cell_centres()[:1]))) is not None:
         share = settings.direct.mismatch_share or [SHARE_START] * field.num_tones
