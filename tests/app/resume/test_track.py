@@ -6,13 +6,12 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
 from unittest import mock
 
 import pytest
 import torch
+from oracles.interrupted import ALL, ALONE, ALWAYS, KEPT, LINE, POINTS, contents, stopped, untouched
 from oracles.scripts import FOLDER, SMALL
-from oracles.storage import full_disk
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.summary.writer.record_writer import RecordWriter
 from torch.utils.tensorboard import SummaryWriter
@@ -21,16 +20,8 @@ from torchdt.app import track
 from torchdt.app.live import LiveReport
 from torchdt.data.npz import write_npz
 from torchdt.run import keeper
-from torchdt.run.checkpoint import save_checkpoint
 
 pytestmark = pytest.mark.slow
-ALWAYS = "checkpoint_s=1e-9"  # a checkpoint after each step
-ALONE = "memory_gb=1e-6"  # a chunk for each sequence
-POINTS = ("tracker.slots=4", "tracker.particles=100", "tracker.detector.threshold=8")
-LINE = ("scenario=line_array", "scenario.num_steps=5")
-ALL = {"scalars": 0, "histograms": 0}
-NUMBERS = ("tracks.csv", "gospa.csv")
-KEPT = ("tracks.csv", "gospa.csv", "metrics.json", "manifest.json", "checkpoint.pt")
 # By name, and the sequence and step at which they stop.
 CASES = {
     ("chunks", 0, 0): (*SMALL, *LINE, "runs=2", ALONE),
@@ -39,59 +30,6 @@ CASES = {
     ("npz", 1, 4): (*SMALL, *LINE, "data=npz", "data.path={folder}/two.npz", ALONE),
     ("mp_bp", 0, 2): (*LINE, "tracker=mp_bp", *POINTS, "runs=2", ALONE),
 }
-
-
-@contextmanager
-def stopped(sequence, step, error=RuntimeError):
-    """Tracking ends where this step of this sequence is done, and not yet in a checkpoint."""
-    observe = LiveReport.__call__
-
-    def stopping(self, now, state, estimate, sequences):
-        if (sequences.start, now) == (sequence, step):
-            raise error("stopped")
-        observe(self, now, state, estimate, sequences)
-
-    with mock.patch.object(LiveReport, "__call__", stopping):
-        yield
-
-
-def untouched(directory, *names):
-    """What does not change where nothing is written."""
-    return {name: ((directory / name).read_bytes(), (directory / name).stat().st_mtime_ns) for name in names}
-
-
-def contents(directory, names=NUMBERS):
-    return [(directory / name).read_bytes() for name in names]
-
-
-@pytest.fixture(scope="module")
-def start(launch):
-    """Run in a directory; the last argument of a key counts."""
-
-    def start(directory, *overrides, small=True):
-        outcome = launch(ALWAYS, f"hydra.run.dir={directory}", *overrides, small=small)
-        outcome.directory = directory
-        return outcome
-
-    return start
-
-
-@pytest.fixture(scope="module")
-def whole(start, tmp_path_factory):
-    """A run that nothing interrupts."""
-    outcome = start(tmp_path_factory.mktemp("whole"), "runs=2", ALONE)
-    assert outcome.status == 0, outcome.err
-    return outcome
-
-
-@pytest.fixture
-def half(start, tmp_path):
-    """The same, interrupted in its second sequence."""
-    with stopped(1, 3):
-        outcome = start(tmp_path, "runs=2", ALONE)
-    assert outcome.status == 1
-    assert "stopped" in outcome.err
-    return outcome
 
 
 @pytest.mark.parametrize(("case", "sequence", "step"), CASES)
@@ -222,72 +160,6 @@ def test_a_finished_run_whose_tables_are_gone_is_run_again(start, tmp_path, whol
     assert "nothing to do" in start(*arguments).log
 
 
-@pytest.mark.parametrize(
-    ("overrides", "words"),
-    [
-        (["seed=1"], "key 'seed': found 1, expected 0, as in"),
-        (["tracker=mp_bp", "runs=2"], "key 'tracker': found mp_bp, expected direct, as in"),
-        (["model.survival=0.9"], "key 'model.survival': found 0.9, expected 0.95, as in"),
-        (["scenario.num_steps=6"], "key 'scenario.num_steps': found 6, expected 5, as in"),
-        (["dtype=float64"], "key 'dtype': found float64, expected float32, as in"),
-        (["runs=1"], "key 'runs': found 1, expected 2, as in"),
-        (["variants=[{survival: 0.9}]"], "key 'variants': found [{'survival': 0.9}], expected None, as in"),
-    ],
-)
-def test_another_run_is_refused(start, whole, overrides, words):
-    small = () if "tracker=mp_bp" not in overrides else (*LINE, *POINTS)
-    before = untouched(whole.directory, *KEPT)
-    other = start(whole.directory, "runs=2", *small, *overrides, small=not small)
-    assert other.status == 1
-    assert words in other.err
-    assert f"as in {whole.directory / 'checkpoint.pt'}; another folder starts anew" in other.err
-    assert untouched(whole.directory, *KEPT) == before
-
-
-def test_another_run_does_not_go_on(start, half):
-    before = {path: path.read_bytes() for path in (half.directory / "checkpoint").iterdir()}
-    other = start(half.directory, "runs=2", "seed=1")
-    assert "key 'seed': found 1, expected 0, as in" in other.err
-    assert {path: path.read_bytes() for path in (half.directory / "checkpoint").iterdir()} == before
-
-
-def test_other_data_under_the_same_name(start, tmp_path, recording):
-    path, directory = tmp_path / "data.npz", tmp_path / "run"
-    write_npz(path, recording)
-    arguments = (directory, "data=npz", f"data.path={path}")
-    assert start(*arguments).status == 0
-    before = untouched(directory, *KEPT)
-    recording.snapshots[0, 0, 0, 0, 0] *= 2
-    write_npz(path, recording)
-    recording.snapshots[0, 0, 0, 0, 0] /= 2
-    other = start(*arguments)
-    assert other.status == 1
-    assert f"key 'content of {path}': found" in other.err
-    path.unlink()
-    gone = start(*arguments)
-    assert f"key 'content of {path}': found no file, expected" in gone.err
-    assert untouched(directory, *KEPT) == before
-
-
-def test_the_checkpoint_of_another_job(start, tmp_path):
-    path = tmp_path / "checkpoint.pt"
-    save_checkpoint(path, "tune", {}, {})
-    outcome = start(tmp_path)
-    assert outcome.status == 1
-    assert f"path '{path}': found a checkpoint of 'tune', expected one of 'track'" in outcome.err
-    assert not (tmp_path / "manifest.json").exists()
-
-
-@pytest.mark.parametrize("name", ["checkpoint.pt", "checkpoint/1-1.pt"])
-def test_part_of_a_checkpoint(start, half, name):
-    path = half.directory / name
-    content = path.read_bytes()
-    path.write_bytes(content[: random.Random(3).randrange(len(content))])
-    outcome = start(half.directory, "runs=2", ALONE)
-    assert outcome.status == 1
-    assert f"path '{path}': found a file of another kind, or part of one" in outcome.err
-
-
 def test_results_that_are_not_all_written(start, tmp_path, whole):
     """Tracked to the end, and killed before the last table."""
     arguments = (tmp_path, "runs=2", ALONE, "logging=default")
@@ -330,31 +202,6 @@ def test_an_interrupted_run_goes_on_without_further_checkpoints(start, half, who
     assert contents(resumed.directory) == contents(whole.directory)
     with mock.patch.object(track, "set_up", side_effect=AssertionError("computed")):
         assert start(half.directory, "runs=2").values == whole.values
-
-
-def test_a_full_disk(start, tmp_path, whole):
-    arguments = (tmp_path, "runs=2", ALONE)
-    folder = tmp_path / "checkpoint"
-    with full_disk(lambda: (folder / "1-1.pt").exists()):
-        outcome = start(*arguments)
-    assert outcome.status == 1
-    assert outcome.err == f"cannot write {folder / '1-1.pt'}: No space left on device\n"
-    assert {path.name for path in folder.iterdir()} == {"plan.pt", "0-0.pt", "1-1.pt"}
-    assert start(*arguments).status == 0
-    assert contents(tmp_path) == contents(whole.directory)
-
-
-@pytest.mark.parametrize("name", ["checkpoint", "tensorboard", "figures"])
-def test_a_file_in_the_place_of_a_folder(start, tmp_path, whole, name):
-    arguments = (tmp_path, "runs=2", ALONE, "logging=default")
-    (tmp_path / name).write_bytes(b"")
-    outcome = start(*arguments)
-    assert outcome.status == 1
-    assert outcome.err.startswith(f"cannot write {tmp_path / name}: ")
-    assert outcome.err.count("\n") == 1
-    (tmp_path / name).unlink()
-    assert start(*arguments).status == 0
-    assert contents(tmp_path) == contents(whole.directory)
 
 
 def test_a_repeated_sweep_does_what_is_left(launch, tmp_path):
