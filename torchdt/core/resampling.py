@@ -5,6 +5,7 @@ that is what resamplers differ in (Douc, Cappe and Moulines, "Comparison of resa
 filtering", 2005).
 """
 
+import abc
 import math
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
@@ -65,7 +66,7 @@ class Resampler(Protocol):
 
 
 @dataclass(frozen=True)
-class BaseResampler(Checked):
+class BaseResampler(Checked, abc.ABC):
     """Resamples the sets of low effective sample size and roughens them; the others stay as they are.
 
     The weights keep their gradient, see `stop_gradient_weights`. A resampler of one's own says how ancestors
@@ -81,13 +82,13 @@ class BaseResampler(Checked):
     below: Share = 0.5
     roughening: Share = 0.1
 
+    @abc.abstractmethod
     def num_uniforms(self, num_particles: int) -> int:
         """See `Resampler.num_uniforms`."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def ancestors(self, log_weight: Tensor, uniform: Tensor) -> Tensor:
         """See `Resampler.ancestors`."""
-        raise NotImplementedError
 
     def draw(
         self, streams: RandomStreams, num_sets: int, num_particles: int, entries: int

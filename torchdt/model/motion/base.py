@@ -1,5 +1,6 @@
 """How objects move: what a motion must offer, and a base class for motions driven by Gaussian noise."""
 
+import abc
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol, Self, runtime_checkable
@@ -71,7 +72,7 @@ class Motion(Protocol):
 
 
 @dataclass(frozen=True)
-class BaseMotion(Part):
+class BaseMotion(Part, abc.ABC):
     """A motion that is driven by white Gaussian noise `q ~ N(0, diag(driving_variance))`.
 
     A motion of one's own says what its state has beside the position (`num_extra`, `newborn`, `complete`,
@@ -102,6 +103,7 @@ class BaseMotion(Part):
         """The `driving_variance` of a motion that has none of its own, `(d,)`: the region's."""
         return region.driving_variance
 
+    @abc.abstractmethod
     def move(self, state: Tensor, driving: Tensor, step_s: float) -> Tensor:
         """New states f(x, q).
 
@@ -110,7 +112,6 @@ class BaseMotion(Part):
             driving: `(*batch, num_driving)` driving noise q.
             step_s: time step T in seconds.
         """
-        raise NotImplementedError
 
     def predict(
         self, state: Tensor, draws: Tensor, step_s: float, gradient: Gradient

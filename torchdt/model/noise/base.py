@@ -1,5 +1,6 @@
 """Noise of the sensors: the belief about its level, what a model must offer, and a base for models."""
 
+import abc
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol, Self, runtime_checkable
 
@@ -106,7 +107,7 @@ class NoiseModel(Protocol):
 
 
 @dataclass(frozen=True)
-class BaseNoise(Part):
+class BaseNoise(Part, abc.ABC):
     """A level uniform up to a limit before the first step, a Gamma chain from then on: f(eta | eta').
 
     Liang and Meyer, Sec. IV. A model of one's own says what a level makes of the covariance of the data
@@ -136,9 +137,9 @@ class BaseNoise(Part):
         """No level below that of `resolvable_noise`."""
         return noise.above(resolvable_noise(measurement, priors))
 
+    @abc.abstractmethod
     def covariance(self, signal: Tensor, variance: Tensor, present: Tensor) -> Tensor:
         """See `NoiseModel.covariance`."""
-        raise NotImplementedError
 
     def update(self, prior: Noise, measurement: Measurement, signal: Tensor) -> Noise:
         """Weight the support points by the data, see `NoiseModel.update`."""
