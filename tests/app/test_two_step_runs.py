@@ -103,7 +103,7 @@ def fails(status, message, words):
         (
             "mp_bp",
             "model.motion.driving_variance=[1,2]",
-            ("key 'model.motion.driving_variance'", "[1.0, 2.0]", "for each of 1"),
+            ("key 'model.motion.driving_variance'", "[1, 2]", "for each of 1"),
         ),
         (
             "mp_bp",

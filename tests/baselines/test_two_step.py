@@ -25,6 +25,7 @@ from torchdt.filter.history import TrackHistory
 from torchdt.filter.tracker import Tracker
 from torchdt.metrics import gospa
 from torchdt.model.measurement import from_snapshots
+from torchdt.model.motion.constant_velocity import ConstantVelocity
 from torchdt.model.prior import data_priors
 from torchdt.run.track import track
 
@@ -290,8 +291,11 @@ def test_settings_out_of_range_are_named(key, value):
 
 
 def test_settings_that_do_not_fit_the_region_are_named():
-    with pytest.raises(InputError, match=r"'tracker\.driving_variance': found .*one number for each of 1"):
-        make_tracker("mp", driving_variance=[1.0, 2.0])
+    usual, motion = make_tracker("mp"), ConstantVelocity([1.0, 2.0])
+    with pytest.raises(
+        InputError, match=r"'model.motion\.driving_variance': found .*one number for each of 1"
+    ):
+        TwoStepTracker(usual.field, usual.region, 1.0, usual.config, motion)
 
 
 def test_spread_is_in_cells_of_its_coordinate():

@@ -69,7 +69,9 @@ class StretchedArray(LineArrayField):
 
 
 @PROPOSALS
-@pytest.mark.parametrize(("evidence", "gradient"), [("sampled", "reparameterised"), ("gaussian", "score")])
+@pytest.mark.parametrize(
+    ("evidence", "gradient"), [(SampledEvidence(), Reparameterised()), (GaussianEvidence(), Score())]
+)
 def test_gradient_in_the_field_equals_finite_differences(measurement, proposal, evidence, gradient):
     base = make_tracker(proposal=proposal, evidence=evidence, gradient=gradient, **SMALL)
     stretch = torch.tensor(1.02, dtype=F64, requires_grad=True)
