@@ -17,6 +17,7 @@ from torchdt.core.resampling import Systematic
 from torchdt.data.recording import Recording
 from torchdt.filter.bp.moments import response_moment, signal_covariance
 from torchdt.filter.bp.schedule import update
+from torchdt.filter.context import StepContext
 from torchdt.filter.declare import extract_estimates
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.placement import Placer
@@ -98,10 +99,11 @@ def forward_parts(
     draws = tracker.draw(streams)
     tempered = measurement.tempered(append_dims(tracker.model.likelihood_power, 1))
     born = tracker.model.birth.log_odds(region, tracker.dictionary.points[None]).amax(-1)
-    placer = Placer(field, region, tracker.dictionary, cfg, tracker.model)
+    context = StepContext(field, region, tracker.model, tempered)
+    placer = Placer(context, tracker.dictionary, cfg)
 
     predicted = tracker.predict(state, draws.driving)
-    placing = (predicted, noise, tempered, priors, draws.known, draws.newborn, draws.picks)
+    placing = (predicted, priors, draws.known, draws.newborn, draws.picks)
     placed = placer.place(*placing)
     sweep = partial(
         update,
@@ -113,7 +115,8 @@ def forward_parts(
         initial=placed.beliefs,
     )
     beliefs = sweep(sweeps=cfg.sweeps)
-    weighing = (predicted, placed, noise, measurement, beliefs, draws.evidence)
+    exact = context._replace(measurement=measurement)
+    weighing = (exact, predicted, placed, beliefs, draws.evidence)
     log_evidence = tracker.evidence(*weighing)
     signal = signal_covariance(beliefs.strength, beliefs.moment)
     occupied = placed.objects.log_odds.isfinite().sum(-1)

@@ -15,6 +15,7 @@ from torchdt.field.mismatch import with_share
 from torchdt.field.wrapped import CompletedField
 from torchdt.filter.bp.schedule import Beliefs, update
 from torchdt.filter.config import TrackerConfig
+from torchdt.filter.context import StepContext
 from torchdt.filter.declare import empty_slots, extract_estimates, idle_particles
 from torchdt.filter.history import TrackHistory
 from torchdt.filter.placement import Placer
@@ -25,7 +26,6 @@ from torchdt.filter.state import Objects, TrackerState
 from torchdt.filter.tracker import Tracker
 from torchdt.model.measurement import Measurement
 from torchdt.model.model import Model
-from torchdt.model.noise.base import Noise
 from torchdt.model.part import append_dims
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
@@ -170,16 +170,17 @@ class DirectTracker(Tracker[TrackerState]):
         """
         cfg, model = self.config, self.model
         draws = self.draw(streams)
-        given, count = measurement, model.effective_count
+        received, count = measurement, model.effective_count
         if count is not None:
-            measurement = given.recounted(append_dims(count, 1))
+            measurement = received.recounted(append_dims(count, 1))
         tempered = measurement.tempered(append_dims(model.likelihood_power, 1))
         # Noise that the numbers of this step cannot resolve is as good as the least that they can. The belief
         # that goes on keeps its support points.
         noise = model.noise.resolvable(state.noise, measurement, priors)
         predicted = self.predict(state._replace(noise=noise), draws.driving)
-        placer = Placer(self.field, self.region, self.dictionary, cfg, model)
-        current = placer.place(predicted, noise, tempered, priors, draws.known, draws.newborn, draws.picks)
+        context = StepContext(self.field, self.region, model, tempered)
+        placer = Placer(context, self.dictionary, cfg)
+        current = placer.place(predicted, priors, draws.known, draws.newborn, draws.picks)
         beliefs = update(
             current.objects,
             current.response,
@@ -190,11 +191,11 @@ class DirectTracker(Tracker[TrackerState]):
             initial=current.beliefs,
             noise_model=model.noise,
         )
-        log_evidence = self.evidence(predicted, current, noise, measurement, beliefs, draws.evidence)
+        context = context._replace(measurement=measurement)
+        log_evidence = self.evidence(context, predicted, current, beliefs, draws.evidence)
         if count is not None:
-            log_evidence = log_evidence + log_normaliser(given, append_dims(count, 1)).to(log_evidence).sum(
-                -1
-            )
+            constant = log_normaliser(received, append_dims(count, 1)).to(log_evidence)
+            log_evidence = log_evidence + constant.sum(-1)
         objects, next_label, estimate = extract_estimates(
             current.objects, beliefs, state, log_evidence, self.region, cfg
         )
@@ -222,15 +223,8 @@ class DirectTracker(Tracker[TrackerState]):
         return predict(*where, state, draws, cfg.gradient, cfg.proposal.mixture_components, num_particles)
 
     def evidence(
-        self,
-        predicted: Predicted,
-        current: Placed,
-        noise: Noise,
-        measurement: Measurement,
-        beliefs: Beliefs,
-        draws: Any,
+        self, context: StepContext, predicted: Predicted, current: Placed, beliefs: Beliefs, draws: Any
     ) -> Tensor:
         """Evidence of the step, `(*batch,)`; zero where there are no data. The likelihood is not tempered."""
-        given = (predicted, current, noise, measurement, beliefs, draws)
-        log_evidence = self.config.evidence.estimate(*given, self.model, self.region)
-        return torch.where((measurement.num_snapshots > 0).any(-1), log_evidence, 0.0)
+        log_evidence = self.config.evidence.estimate(context, predicted, current, beliefs, draws)
+        return torch.where((context.measurement.num_snapshots > 0).any(-1), log_evidence, 0.0)

@@ -26,14 +26,13 @@ from torchdt.filter.bp.configurations import (
 )
 from torchdt.filter.bp.moments import signal_covariance
 from torchdt.filter.bp.schedule import Beliefs, as_belief
+from torchdt.filter.context import StepContext
 from torchdt.filter.predict import Predicted, exchangeable
 from torchdt.filter.slots import Placed
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood
-from torchdt.model.model import Model
 from torchdt.model.noise.base import Noise, NoiseModel
 from torchdt.model.noise.white import WHITE
-from torchdt.model.region import Region
 
 
 @runtime_checkable
@@ -52,26 +51,20 @@ class Evidence(Protocol):
 
     def estimate(
         self,
+        context: StepContext,
         predicted: Predicted,
         current: Placed,
-        noise: Noise,
-        measurement: Measurement,
         beliefs: Beliefs,
         draws: Any,
-        model: Model,
-        region: Region,
     ) -> Tensor:
         """The evidence of a step, `(*batch,)`.
 
         Args:
-            predicted: known objects before the data, batch `(*batch, N)`.
+            context: field, region, model and data; the likelihood is not tempered.
+            predicted: known objects and noise before the data, batch `(*batch, N)`.
             current: known and new objects on the particles of this step.
-            noise: predicted noise.
-            measurement: statistics of the step, batch `(*batch,)`.
             beliefs: posterior beliefs about the current objects.
             draws: see `draw`.
-            model: statistical model, with numbers as tensors.
-            region: region of interest.
         """
         ...
 
@@ -87,17 +80,14 @@ class GaussianEvidence:
 
     def estimate(
         self,
+        context: StepContext,
         predicted: Predicted,
         current: Placed,
-        noise: Noise,
-        measurement: Measurement,
         beliefs: Beliefs,
         draws: None,
-        model: Model,
-        region: Region,
     ) -> Tensor:
         """See `gaussian_evidence`."""
-        return gaussian_evidence(predicted.beliefs, measurement, model.noise)
+        return gaussian_evidence(predicted.beliefs, context.measurement, context.model.noise)
 
 
 @dataclass(frozen=True)
@@ -121,26 +111,24 @@ class SampledEvidence(Checked):
 
     def estimate(
         self,
+        context: StepContext,
         predicted: Predicted,
         current: Placed,
-        noise: Noise,
-        measurement: Measurement,
         beliefs: Beliefs,
         draws: tuple[UniformDraws, int],
-        model: Model,
-        region: Region,
     ) -> Tensor:
         """See `sampled_evidence`; nothing is born in the cells in which no new object is considered."""
-        uniform, slots = draws
+        (uniform, slots), region, model = draws, context.region, context.model
         known = predicted.objects.log_odds.shape[-1]
         new_odds = current.objects.log_odds[..., known:]
         # New objects are born in places of their own, and change them with no other.
         pairs = pad(exchangeable(predicted, region), (0, new_odds.shape[-1]) * 2)
         at = current.objects, current.response
-        components = labellings(*at, measurement, beliefs, pairs, model.noise)
+        components = labellings(*at, context.measurement, beliefs, pairs, model.noise)
         chosen = uniform.pick(known, slots, new_odds.shape[-1])
         drawn = draw_configurations(*components, beliefs.noise, chosen)
-        log_evidence = sampled_evidence(*at, noise, measurement, drawn, beliefs.diffuse, model.noise)
+        seen = predicted.beliefs.noise, context.measurement
+        log_evidence = sampled_evidence(*at, *seen, drawn, beliefs.diffuse, model.noise)
         return log_evidence + model.birth.log_none(region, new_odds)
 
 

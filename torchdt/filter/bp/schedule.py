@@ -67,7 +67,7 @@ def background(
     beliefs: Beliefs,
     measurement: Measurement,
     index: Tensor,
-    found: Tensor | None = None,
+    extra_signal: Tensor | None = None,
     noise_model: NoiseModel = WHITE,
 ) -> Tensor:
     """What one object per batch element is tested against, `(*batch, I, M, M)`.
@@ -79,11 +79,11 @@ def background(
         beliefs: of all objects.
         measurement: statistics of the step.
         index: `(*batch,)` the object.
-        found: `(*batch, I, M, M)` covariance of signals that are no objects yet.
+        extra_signal: `(*batch, I, M, M)` covariance of signals that are no objects yet.
         noise_model: what the noise makes of the covariance of the data.
     """
     signal = signal_covariance(without(beliefs.strength, index), beliefs.moment)
-    signal = signal if found is None else signal + found
+    signal = signal if extra_signal is None else signal + extra_signal
     if beliefs.diffuse is not None:
         signal = signal + take(beliefs.power, index)[..., None, None] * take(beliefs.diffuse, index)
     return noise_model.covariance(signal, beliefs.noise.mean, measurement.present)

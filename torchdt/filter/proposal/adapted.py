@@ -10,17 +10,15 @@ from torchdt.core.importance import Box, adapt
 from torchdt.core.random import RandomStreams
 from torchdt.core.ranges import Checked, Count, Passes
 from torchdt.core.resampling import Resampler
-from torchdt.field.base import BaseField
 from torchdt.filter.bp.schedule import Beliefs, Schedule
+from torchdt.filter.context import StepContext
 from torchdt.filter.predict import Predicted
 from torchdt.filter.proposal.base import NewbornDensity
 from torchdt.filter.proposal.moved import Draws, propose_adapted
 from torchdt.filter.proposal.neighbourhood import grow, place_of
 from torchdt.filter.slots import Placed
 from torchdt.filter.state import Objects
-from torchdt.model.measurement import Measurement
 from torchdt.model.motion.driving import Gradient
-from torchdt.model.noise.base import NoiseModel
 from torchdt.model.region import Region
 
 
@@ -49,29 +47,26 @@ class Adapted(Checked):
 
     def place_known(
         self,
-        field: BaseField,
-        region: Region,
+        context: StepContext,
         predicted: Predicted,
         beliefs: Beliefs,
-        measurement: Measurement,
         draws: Draws,
-        found: Tensor | None,
-        noise_model: NoiseModel,
+        extra_signal: Tensor | None,
         schedule: Schedule,
         gradient: Gradient,
     ) -> Placed:
         """One object after another, see `propose_adapted`."""
         placed = propose_adapted(
-            field,
-            region,
+            context.field,
+            context.region,
             predicted.objects,
             predicted.density,
             beliefs,
-            measurement,
+            context.measurement,
             draws,
-            found,
+            extra_signal,
             gradient=gradient,
-            noise_model=noise_model,
+            noise_model=context.model.noise,
         )
         return Placed(*placed)
 

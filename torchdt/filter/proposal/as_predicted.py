@@ -9,17 +9,15 @@ from torch import Tensor
 from torchdt.core.importance import Box
 from torchdt.core.random import RandomStreams
 from torchdt.core.resampling import Resampler
-from torchdt.field.base import BaseField
 from torchdt.filter.bp.schedule import Beliefs, Schedule, update
+from torchdt.filter.context import StepContext
 from torchdt.filter.predict import Predicted
 from torchdt.filter.proposal.base import NewbornDensity
 from torchdt.filter.proposal.moved import Draws
 from torchdt.filter.proposal.neighbourhood import cell_around
 from torchdt.filter.slots import Placed
 from torchdt.filter.state import Objects
-from torchdt.model.measurement import Measurement
 from torchdt.model.motion.driving import Gradient
-from torchdt.model.noise.base import NoiseModel
 from torchdt.model.region import Region
 
 
@@ -37,14 +35,11 @@ class AsPredicted:
 
     def place_known(
         self,
-        field: BaseField,
-        region: Region,
+        context: StepContext,
         predicted: Predicted,
         beliefs: Beliefs,
-        measurement: Measurement,
         draws: Draws,
-        found: Tensor | None,
-        noise_model: NoiseModel,
+        extra_signal: Tensor | None,
         schedule: Schedule,
         gradient: Gradient,
     ) -> Placed:
@@ -54,11 +49,11 @@ class AsPredicted:
             objects,
             response,
             beliefs.noise,
-            measurement,
+            context.measurement,
             sweeps=1,
             schedule=schedule,
             initial=beliefs,
-            noise_model=noise_model,
+            noise_model=context.model.noise,
         )
         return Placed(objects, response, first)
 

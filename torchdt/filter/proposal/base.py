@@ -10,13 +10,11 @@ from torch import Tensor
 from torchdt.core.importance import Box, Density
 from torchdt.core.random import RandomStreams
 from torchdt.core.resampling import Resampler
-from torchdt.field.base import BaseField
 from torchdt.filter.bp.schedule import Beliefs, Schedule
+from torchdt.filter.context import StepContext
 from torchdt.filter.slots import Placed
 from torchdt.filter.state import Objects
-from torchdt.model.measurement import Measurement
 from torchdt.model.motion.driving import Gradient
-from torchdt.model.noise.base import NoiseModel
 from torchdt.model.region import Region
 
 if TYPE_CHECKING:
@@ -61,28 +59,22 @@ class Proposal(Protocol):
 
     def place_known(
         self,
-        field: BaseField,
-        region: Region,
+        context: StepContext,
         predicted: Predicted,
         beliefs: Beliefs,
-        measurement: Measurement,
         draws: Draws,
-        found: Tensor | None,
-        noise_model: NoiseModel,
+        extra_signal: Tensor | None,
         schedule: Schedule,
         gradient: Gradient,
     ) -> Placed:
         """Known objects on the particles of this step, after one sweep over them.
 
         Args:
-            field: array response.
-            region: region of interest.
+            context: field, region, model and data.
             predicted: known objects before the data, batch `(*batch, N)`.
             beliefs: about them, and about the noise.
-            measurement: statistics of the step, batch `(*batch,)`.
             draws: random numbers.
-            found: `(*batch, I, M, M)` covariance of signals that are no objects yet.
-            noise_model: what the noise makes of the covariance of the data.
+            extra_signal: `(*batch, I, M, M)` covariance of signals that are no objects yet.
             schedule: order of the messages, where all are computed on the same particles.
             gradient: how particles depend on the prediction.
         """

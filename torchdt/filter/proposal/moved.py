@@ -77,7 +77,7 @@ def propose_adapted(
     beliefs: Beliefs,
     measurement: Measurement,
     draws: Draws,
-    found: Tensor | None = None,
+    extra_signal: Tensor | None = None,
     *,
     gradient: Gradient = SCORE,
     noise_model: NoiseModel = WHITE,
@@ -95,7 +95,7 @@ def propose_adapted(
         beliefs: predicted beliefs of the same objects.
         measurement: statistics of the step.
         draws: random numbers.
-        found: `(*batch, I, M, M)` covariance of signals that are no objects yet.
+        extra_signal: `(*batch, I, M, M)` covariance of signals that are no objects yet.
         gradient: how the particles depend on the prediction.
         noise_model: what the noise makes of the covariance of the data.
 
@@ -108,7 +108,7 @@ def propose_adapted(
     num_objects = predicted.log_odds.shape[-1]
     for slot in range(num_objects):
         index = torch.full_like(predicted.label[..., 0], slot)
-        whitener = whiten(measurement, background(beliefs, measurement, index, found, noise_model))
+        whitener = whiten(measurement, background(beliefs, measurement, index, extra_signal, noise_model))
         slot_prior = tree_map(partial(take, index=index), as_belief(predicted))
         power = take(predicted.power, index)
 
