@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from torchdt.field.spherical_wave import SphericalWaveField
     from torchdt.filter.config import TrackerConfig
     from torchdt.filter.direct import DirectTracker
-    from torchdt.filter.history import TrackHistory
+    from torchdt.filter.history import StepEstimate, TrackHistory
     from torchdt.filter.likelihood import log_likelihood
     from torchdt.filter.tracker import Tracker
     from torchdt.metrics import Gospa, TGospa, gospa, tgospa
@@ -43,6 +43,7 @@ __all__ = [
     "Recording",
     "Region",
     "SphericalWaveField",
+    "StepEstimate",
     "TGospa",
     "TrackHistory",
     "Tracker",
@@ -69,7 +70,7 @@ _PLACES = {
     "field.spherical_wave": ("SphericalWaveField",),
     "filter.config": ("TrackerConfig",),
     "filter.direct": ("DirectTracker",),
-    "filter.history": ("TrackHistory",),
+    "filter.history": ("StepEstimate", "TrackHistory"),
     "filter.likelihood": ("log_likelihood",),
     "filter.tracker": ("Tracker",),
     "metrics": ("Gospa", "TGospa", "gospa", "tgospa"),

@@ -225,7 +225,7 @@ def evaluate(found: Sequence[Detected], config: TwoStepConfig, settings: TunePoi
         for k in range(num_steps):
             state, estimate = tracker.step(state, Points(*(t[:, k] for t in points)), streams)
             steps.append(estimate)
-    history = TrackHistory(*(torch.stack(part, 1) for part in zip(*steps, strict=True)))
+    history = TrackHistory.of_steps(steps, 1)
     scores = []
     for part, own in zip(found, history_parts(history, [len(f.points.noise) for f in found]), strict=True):
         gospa = score_history(own, part.recording, part.settings)

@@ -8,7 +8,7 @@ import torch
 
 from torchdt.app import live
 from torchdt.app.build import build_region
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def report(recording, settings, tmp_path):
 def test_all_that_is_written_of_a_step_is_of_the_first_sequence(report, recording):
     live_report, written = report
     first = torch.zeros(1, 3, 2, dtype=torch.float64)
-    estimate = TrackHistory(*[torch.cat([first, first + 1])] * len(TrackHistory._fields))._replace(
+    estimate = StepEstimate(*[torch.cat([first, first + 1])] * len(StepEstimate._fields))._replace(
         declared=torch.tensor([[False] * 3, [True] * 3]), position=torch.zeros(2, 3, 1, dtype=torch.float64)
     )
     live_report(3, torch.tensor([4.0, 5.0]), estimate, slice(0, 2))

@@ -11,7 +11,7 @@ from oracles.scripts import Terminal
 
 from torchdt.app import progress
 from torchdt.app.settings import settings_of
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate
 from torchdt.tuning.state import Record, TuningState
 
 
@@ -57,7 +57,7 @@ def test_no_bar_in_a_sweep_and_without_a_terminal(tuning, where):
 def test_a_bar_that_goes_on(recording, settings):
     """Two sequences of five steps in chunks of their own, the first of which was done before."""
     declared = torch.ones(1, 3, dtype=torch.bool)
-    estimate = TrackHistory(*[torch.zeros(1, 3, 1)] * len(TrackHistory._fields))._replace(declared=declared)
+    estimate = StepEstimate(*[torch.zeros(1, 3, 1)] * len(StepEstimate._fields))._replace(declared=declared)
     with printed() as out, progress.track_progress(recording, settings("runs=2")) as on_step:
         on_step(4, None, estimate, slice(0, 1))
         on_step(2, None, estimate, slice(1, 2))

@@ -147,7 +147,7 @@ def test_steps_in_a_loop_equal_a_run(mixed, detector):
     for k in range(5):
         state, estimate = tracker.step(state, measurement.at(k), priors, streams)
         steps.append(estimate)
-    found = TrackHistory(*(torch.stack(parts, 1) for parts in zip(*steps, strict=True)))
+    found = TrackHistory.of_steps(steps, 1)
     torch.testing.assert_close(found, expected, rtol=0, atol=0, equal_nan=True)
     assert reported == list(range(5))
     assert found.declared.any()

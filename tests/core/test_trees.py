@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchdt.core.trees import put, put_sequences, take, take_sequences
+from torchdt.core.trees import put, put_sequences, take, take_sequences, tree_map
 from torchdt.model.prior import Priors
 
 
@@ -35,3 +35,22 @@ def test_some_sequences_of_nested_tuples():
     assert changed[0].noise_max.tolist() == [[0.0, 1.0], [20.0, 30.0], [4.0, 5.0], [60.0, 70.0]]
     assert changed[2].tolist() == [0, 10, 2, 30]
     assert tree[2].tolist() == [0, 1, 2, 3], "out of place"
+
+
+class FirstPriors(Priors):
+    """A subclass of a named tuple."""
+
+
+def test_tuples_of_all_kinds_stay_what_they_are():
+    one = torch.ones(2)
+    tree = (FirstPriors(one, 2 * one), (one, (None, Priors(one, one))))
+    mapped = tree_map(torch.add, tree, tree)
+    first, (second, (nothing, last)) = mapped
+    assert [type(part) for part in (mapped, first, mapped[1], last)] == [tuple, FirstPriors, tuple, Priors]
+    assert (first.noise_max.tolist(), second.tolist(), nothing) == ([4.0, 4.0], [2.0, 2.0], None)
+
+
+def test_trees_that_differ_do_not_match():
+    one = torch.ones(2)
+    with pytest.raises(ValueError, match="shorter"):
+        tree_map(torch.add, (one, one), (one,))

@@ -61,7 +61,7 @@ def run(tracker: Tracker, z: Tensor) -> TrackHistory:
     for k in range(z.shape[1]):
         state, estimate = tracker.step(state, measurement.at(k), Priors(limit, limit), streams)
         steps.append(estimate)
-    return TrackHistory(*(torch.stack(parts, 1) for parts in zip(*steps, strict=True)))
+    return TrackHistory.of_steps(steps, 1)
 
 
 @pytest.mark.parametrize("kind", TRACKERS)

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchdt.baselines.detect.config import PursuitConfig
 from torchdt.baselines.two_step import TwoStepConfig, TwoStepTracker
 from torchdt.core.random import RandomStreams
+from torchdt.filter.history import TrackHistory
 from torchdt.filter.paper.config import PaperConfig
 from torchdt.filter.paper.tracker import PaperTracker
 from torchdt.filter.tracker import Tracker
@@ -47,8 +48,8 @@ def test_a_stream_gives_the_steps_of_a_run(kind, measurement):
     history = tracker.run(measurement, priors, streams())
     steps = list(tracker.stream((measurement.at(k) for k in range(STEPS)), priors, streams()))
     assert history.declared[:, -1].sum(-1).tolist() == [2, 2]
-    for parts, expected in zip(zip(*steps, strict=True), history, strict=True):
-        torch.testing.assert_close(torch.stack(parts, 1), expected, rtol=0, atol=0, equal_nan=True)
+    for found, expected in zip(TrackHistory.of_steps(steps, 1), history, strict=True):
+        torch.testing.assert_close(found, expected, rtol=0, atol=0, equal_nan=True)
 
 
 @each

@@ -51,7 +51,7 @@ def run(
     for k in range(points.present.shape[1]):
         state, estimate = tracker.step(state, Points(*(t[:, k] for t in points)), streams)
         steps.append(estimate)
-    return state, TrackHistory(*(torch.stack(parts, 1) for parts in zip(*steps, strict=True)))
+    return state, TrackHistory.of_steps(steps, 1)
 
 
 def scene(seeds: Sequence[int], dtype: torch.dtype = F64) -> Points:

@@ -18,7 +18,7 @@ from torchdt.app.score import score_step
 from torchdt.app.settings import TrackSettings
 from torchdt.core.trees import tree_map
 from torchdt.data.recording import Recording
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate, TrackHistory
 from torchdt.model.region import Region
 
 
@@ -41,7 +41,7 @@ class LiveReport:
         self.frame = Frame.of_region(region, [axis_of(c) for c in region.coordinates])
         self._report: TensorBoardReport | None = None
 
-    def __call__(self, step: int, state: Any, estimate: TrackHistory, sequences: slice) -> None:
+    def __call__(self, step: int, state: Any, estimate: StepEstimate, sequences: slice) -> None:
         """Take in a step of some sequences; the first one says where a run begins or goes on."""
         if sequences.start > 0 or not self.settings.logging.tensorboard:
             return

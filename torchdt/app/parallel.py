@@ -7,7 +7,7 @@ import torch
 
 from torchdt.app.settings import MANY, TrackSettings
 from torchdt.data.recording import Recording
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate, TrackHistory
 from torchdt.filter.tracker import Tracker
 from torchdt.run.keeper import Keeper
 from torchdt.run.track import track
@@ -36,7 +36,7 @@ def track_in_chunks(
     recording: Recording,
     tracker: Tracker[Any],
     seeds: Sequence[int],
-    on_step: Callable[[int, Any, TrackHistory, slice], None] | None = None,
+    on_step: Callable[[int, Any, StepEstimate, slice], None] | None = None,
     keep: Keeper | None = None,
 ) -> TrackHistory:
     """Track with the workers and the memory of the settings, see `torchdt.run.track.track`."""

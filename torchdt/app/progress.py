@@ -22,10 +22,10 @@ from torchdt.app.score import score_step
 from torchdt.app.settings import TrackSettings
 from torchdt.app.tune_settings import TuneSettings
 from torchdt.data.recording import Recording
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate
 from torchdt.tuning.state import TuningState
 
-Observer = Callable[[int, Any, TrackHistory, slice], None]
+Observer = Callable[[int, Any, StepEstimate, slice], None]
 """What `torchdt.run.track.track` calls after each step."""
 
 
@@ -46,7 +46,7 @@ def track_progress(recording: Recording, settings: TrackSettings) -> Iterator[Ob
         total = recording.batch_size * recording.num_steps
         task = progress.add_task("", total=total, declared="-", score="-")
 
-        def on_step(step: int, state: object, estimate: TrackHistory, sequences: slice) -> None:
+        def on_step(step: int, state: object, estimate: StepEstimate, sequences: slice) -> None:
             if progress.disable:
                 return
             declared, number = estimate.declared.sum(-1).double().mean(), len(estimate.declared)

@@ -2,7 +2,7 @@
 
 from torchdt.app.settings import TrackSettings
 from torchdt.data.recording import Recording
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import Estimates, StepEstimate, TrackHistory
 from torchdt.metrics.gospa import Gospa, gospa
 
 
@@ -12,14 +12,14 @@ def score_history(history: TrackHistory, recording: Recording, settings: TrackSe
 
 
 def score_step(
-    step: int, estimate: TrackHistory, sequences: slice, recording: Recording, settings: TrackSettings
+    step: int, estimate: StepEstimate, sequences: slice, recording: Recording, settings: TrackSettings
 ) -> Gospa | None:
     """GOSPA of one step of some sequences of a recording, `(B,)`; None without truth."""
     return _score(estimate, recording, settings, sequences, step)
 
 
 def _score(
-    estimates: TrackHistory,
+    estimates: Estimates,
     recording: Recording,
     settings: TrackSettings,
     sequences: slice,

@@ -20,7 +20,7 @@ from torchdt.data.prepare import Prepared, check_step, prepare
 from torchdt.data.recording import Recording
 from torchdt.field.base import BaseField, Field
 from torchdt.field.wrapped import CompletedField
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate
 from torchdt.filter.proposal.dictionary import Dictionary
 from torchdt.filter.tracker import Tracker
 from torchdt.model.measurement import Measurement
@@ -108,7 +108,7 @@ class TwoStepTracker(Tracker[PointState]):
 
     def step(
         self, state: PointState, measurement: Measurement, priors: Priors, streams: RandomStreams
-    ) -> tuple[PointState, TrackHistory]:
+    ) -> tuple[PointState, StepEstimate]:
         """Take in one step of data; see `PointTracker.step` for what the estimates mean.
 
         Raises:

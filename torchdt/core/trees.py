@@ -1,11 +1,11 @@
 """Rows of tensors, and trees of tensors: (nested) tuples, whose leaves are treated alike."""
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
-from torch.utils import _pytree
 
 
 def take(tensor: Tensor, index: Tensor) -> Tensor:
@@ -39,10 +39,15 @@ Tree = TypeVar("Tree", bound=tuple[Any, ...])
 def tree_map(function: Callable[..., Tensor], tree: Tree, *others: Any) -> Tree:
     """Apply a function to the tensors in the same place of (nested) tuples alike; None stays None."""
 
-    def apply(first: Tensor | None, *rest: Tensor) -> Tensor | None:
-        return None if first is None else function(first, *rest)
+    def apply(first: Any, *rest: Any) -> Any:
+        if first is None:
+            return None
+        if not isinstance(first, tuple):
+            return function(first, *rest)
+        parts = itertools.starmap(apply, zip(first, *rest, strict=True))
+        return type(first)(*parts) if hasattr(first, "_fields") else tuple(parts)
 
-    return _pytree.tree_map(apply, tree, *others)
+    return apply(tree, *others)
 
 
 def select(condition: Tensor, first: Tree, second: Tree) -> Tree:

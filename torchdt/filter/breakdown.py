@@ -10,7 +10,7 @@ import torch
 from torchdt.core.linalg import BREAKDOWN, NumericalError
 from torchdt.core.random import RandomStreams
 from torchdt.core.trees import join, take_sequences
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
 
@@ -30,12 +30,12 @@ def step_or_miss(
     streams: RandomStreams,
     step: int,
     first: int = 0,
-) -> tuple[State, TrackHistory]:
+) -> tuple[State, StepEstimate]:
     """Take in one step of data; where the numbers break down, go on without these data.
 
     Then each sequence takes the step alone, with the random numbers that it would have had, so that it gives
     what it gives without the others. One that breaks down alone is predicted, as if its data were missing;
-    a warning names it, and `TrackHistory.failed` holds.
+    a warning names it, and `StepEstimate.failed` holds.
 
     Args:
         tracker: takes the step.
@@ -79,7 +79,7 @@ def _miss(
     streams: RandomStreams,
     name: str,
     error: Exception,
-) -> tuple[State, TrackHistory]:
+) -> tuple[State, StepEstimate]:
     """The step without its data."""
     log.warning("%s broke down and counts as missing: %s", name, error)
     try:

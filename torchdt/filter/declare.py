@@ -6,7 +6,7 @@ from torch import Tensor
 from torchdt.core.weights import effective_sample_size, standard_deviation, weighted_mean
 from torchdt.filter.bp.schedule import Beliefs
 from torchdt.filter.config import ObjectConfig, TrackerConfig
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate
 from torchdt.filter.slots import fit_slots
 from torchdt.filter.state import Objects, TrackerState
 from torchdt.model.noise.base import Noise
@@ -27,7 +27,7 @@ def extract_estimates(
     log_evidence: Tensor,
     region: Region,
     config: TrackerConfig,
-) -> tuple[Objects, Tensor, TrackHistory]:
+) -> tuple[Objects, Tensor, StepEstimate]:
     """Drop improbable objects, name those declared for the first time, and report.
 
     Args:
@@ -56,7 +56,7 @@ def report(
     log_evidence: Tensor,
     region: Region,
     config: ObjectConfig,
-) -> tuple[Objects, Tensor, TrackHistory]:
+) -> tuple[Objects, Tensor, StepEstimate]:
     """Drop improbable objects, name those declared for the first time, and say what is known of each.
 
     Args:
@@ -76,7 +76,7 @@ def report(
     objects = fit_slots(objects, old.objects)
     declared, label, next_label = declare(objects.log_odds, objects.label, old.next_label, config)
     state = region.wrap(weighted_mean(objects.state.mT, objects.log_weight[..., None, :]))
-    estimate = TrackHistory(
+    estimate = StepEstimate(
         existence=objects.existence,
         declared=declared,
         label=label,

@@ -17,7 +17,7 @@ from torchdt.filter.bp.schedule import Beliefs, update
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.context import StepContext
 from torchdt.filter.declare import empty_slots, extract_estimates, idle_particles
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate
 from torchdt.filter.placement import Placer
 from torchdt.filter.predict import Predicted, predict
 from torchdt.filter.proposal.moved import Draws
@@ -153,7 +153,7 @@ class DirectTracker(Tracker[TrackerState]):
 
     def step(
         self, state: TrackerState, measurement: Measurement, priors: Priors, streams: RandomStreams
-    ) -> tuple[TrackerState, TrackHistory]:
+    ) -> tuple[TrackerState, StepEstimate]:
         """Take in one step of data.
 
         Args:
@@ -163,7 +163,7 @@ class DirectTracker(Tracker[TrackerState]):
             streams: random numbers; the same amount is drawn in every step.
 
         Returns:
-            The new belief, and the estimates of this step: a `TrackHistory` without its time dimension.
+            The new belief, and the estimates of this step.
 
         Raises:
             NumericalError: where a covariance is not positive definite or a message not finite.

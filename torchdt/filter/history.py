@@ -1,29 +1,32 @@
-"""What a tracker returns for a whole recording."""
+"""What a tracker says about one step, and about a whole recording."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor
 
+from torchdt.core.trees import stack, tree_map
 
-class TrackHistory(NamedTuple):
-    """Beliefs about N potential objects over K steps.
+
+class Estimates(NamedTuple):
+    """Beliefs about N potential objects: what `StepEstimate` and `TrackHistory` have in common.
 
     A state is d positions, then what the motion has beside them. Values of slots that hold no object are
     finite but meaningless: read them only where `declared` is true or `label` is positive.
 
     Attributes:
-        existence: `(*batch, K, N)` probability that the object exists.
-        declared: `(*batch, K, N)` bool, the object is reported.
-        label: `(*batch, K, N)` int64, identity of the track in the slot; 0 = none yet.
-        position: `(*batch, K, N, d)` the first entries of the state.
-        state: `(*batch, K, N, D)` minimum mean-square error (MMSE) estimates given existence.
-        state_std: `(*batch, K, N, D)` standard deviations of the state given existence, in its units.
-        power: `(*batch, K, N, I)` MMSE transmit power per tone, in squared units of the data.
-        noise: `(*batch, K, I)` MMSE noise variance per tone, in squared units of the data.
-        effective_sample_size: `(*batch, K, N)` of the state particles, in particles.
-        failed: `(*batch, K)` bool, the tracker broke down and the step counts as missing.
-        log_evidence: `(*batch, K)` log p(z_k | z_1..k-1), natural logarithm.
+        existence: `(*batch, N)` probability that the object exists.
+        declared: `(*batch, N)` bool, the object is reported.
+        label: `(*batch, N)` int64, identity of the track in the slot; 0 = none yet.
+        position: `(*batch, N, d)` the first entries of the state.
+        state: `(*batch, N, D)` minimum mean-square error (MMSE) estimates given existence.
+        state_std: `(*batch, N, D)` standard deviations of the state given existence, in its units.
+        power: `(*batch, N, I)` MMSE transmit power per tone, in squared units of the data.
+        noise: `(*batch, I)` MMSE noise variance per tone, in squared units of the data.
+        effective_sample_size: `(*batch, N)` of the state particles, in particles.
+        failed: `(*batch,)` bool, the tracker broke down and the step counts as missing.
+        log_evidence: `(*batch,)` log p(z_k | z_1..k-1), natural logarithm.
     """
 
     existence: Tensor
@@ -38,9 +41,33 @@ class TrackHistory(NamedTuple):
     failed: Tensor
     log_evidence: Tensor
 
-    def select(self, run: int) -> "TrackHistory":
-        """One element of the leading batch dimension, `(K, ...)` for a batch `(B, K, ...)`."""
-        return TrackHistory(*(field[run] for field in self))
+    def select(self, sequence: int) -> Self:
+        """One element of the leading batch dimension, which goes."""
+        return tree_map(lambda field: field[sequence], self)
+
+
+class StepEstimate(Estimates):
+    """Beliefs after one step, one for each sequence: see `Estimates`."""
+
+    __slots__ = ()
+
+
+class TrackHistory(Estimates):
+    """Beliefs after each of K steps, batch `(*batch, K)`, such as `existence` of shape `(*batch, K, N)`.
+
+    See `Estimates`.
+    """
+
+    __slots__ = ()
+
+    @classmethod
+    def of_steps(cls, steps: Sequence[StepEstimate], batch_dims: int) -> Self:
+        """Steps in order, of as many batch dimensions, behind which comes that of time."""
+        return cls(*stack(steps, batch_dims))
+
+    def steps(self, batch_dims: int) -> list[StepEstimate]:
+        """The inverse of `of_steps`."""
+        return [StepEstimate(*step) for step in zip(*(t.unbind(batch_dims) for t in self), strict=True)]
 
 
 def history_like(

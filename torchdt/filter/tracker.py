@@ -6,13 +6,12 @@ from functools import cached_property
 from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 from torchdt.core.random import RandomStreams
-from torchdt.core.trees import stack
 from torchdt.data.prepare import Prepared
 from torchdt.data.recording import Recording
 from torchdt.field.base import BaseField
 from torchdt.filter.breakdown import step_or_miss
 from torchdt.filter.config import ObjectConfig
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate, TrackHistory
 from torchdt.filter.proposal.dictionary import Dictionary, build_dictionary
 from torchdt.model.measurement import Measurement
 from torchdt.model.prior import Priors
@@ -31,11 +30,6 @@ class Past(NamedTuple, Generic[State]):
 
     state: State
     history: TrackHistory
-
-    def steps(self, batch_dims: int) -> list[TrackHistory]:
-        """The estimates of each step, without the time dimension, which comes after `batch_dims` others."""
-        parts = (field.unbind(batch_dims) for field in self.history)
-        return [TrackHistory(*step) for step in zip(*parts, strict=True)]
 
 
 class Tracker(abc.ABC, Generic[State]):
@@ -71,16 +65,16 @@ class Tracker(abc.ABC, Generic[State]):
     @abc.abstractmethod
     def step(
         self, state: State, measurement: Measurement, priors: Priors, streams: RandomStreams
-    ) -> tuple[State, TrackHistory]:
+    ) -> tuple[State, StepEstimate]:
         """Take in one step of data, batch `(*batch,)`.
 
         Returns:
-            The new state, and the estimates of this step: a `TrackHistory` without its time dimension.
+            The new state, and the estimates of this step.
         """
 
     def stream(
         self, measurements: Iterable[Measurement], priors: Priors, streams: RandomStreams
-    ) -> Iterator[TrackHistory]:
+    ) -> Iterator[StepEstimate]:
         """Track data as they arrive: only the belief after the last step is kept.
 
         Steps that break down count as missing, see `step_or_miss`.
@@ -93,7 +87,7 @@ class Tracker(abc.ABC, Generic[State]):
             streams: random numbers of batch `(*batch,)`.
 
         Yields:
-            The estimates of each step: a `TrackHistory` without its time dimension.
+            The estimates of each step.
         """
         state = self.init(priors)
         for step, measurement in enumerate(measurements):
@@ -105,7 +99,7 @@ class Tracker(abc.ABC, Generic[State]):
         measurement: Measurement,
         priors: Priors,
         streams: RandomStreams,
-        on_step: Callable[[int, State, TrackHistory], None] | None = None,
+        on_step: Callable[[int, State, StepEstimate], None] | None = None,
         past: Past[State] | None = None,
         first: int = 0,
     ) -> TrackHistory:
@@ -123,10 +117,11 @@ class Tracker(abc.ABC, Generic[State]):
             History of batch `(*batch,)` and K steps, those of the past among them.
         """
         batch_dims = priors.noise_max.ndim - 1
-        state, steps = (self.init(priors), []) if past is None else (past.state, past.steps(batch_dims))
+        state = self.init(priors) if past is None else past.state
+        steps = [] if past is None else past.history.steps(batch_dims)
         for k in range(len(steps), measurement.num_snapshots.shape[batch_dims]):
             state, estimate = step_or_miss(self, state, measurement.at(k), priors, streams, k, first)
             steps.append(estimate)
             if on_step is not None:
                 on_step(k, state, estimate)
-        return stack(steps, batch_dims)
+        return TrackHistory.of_steps(steps, batch_dims)

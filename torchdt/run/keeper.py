@@ -9,13 +9,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from torchdt.core.atomic import storing
 from torchdt.core.errors import InputError
 from torchdt.core.random import RandomStreams
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate, TrackHistory
 from torchdt.filter.tracker import Past
 from torchdt.run.checkpoint import load_checkpoint, require_like, save_checkpoint
 
@@ -106,7 +105,7 @@ class ChunkKeeper:
     def __init__(self, keeper: Keeper, sequences: slice, streams: RandomStreams, num_steps: int) -> None:
         self.keeper, self.streams, self.num_steps = keeper, streams, num_steps
         self.path = keeper.directory / f"{sequences.start}-{sequences.stop - 1}.pt"
-        self.estimates: list[TrackHistory] = []
+        self.estimates: list[StepEstimate] = []
         self.written = time.monotonic()
 
     def past(self, template: Any, history_of: Callable[[int], TrackHistory]) -> Past[Any] | None:
@@ -130,7 +129,7 @@ class ChunkKeeper:
         history = TrackHistory(*(part.to(device) for part in content["history"]))
         self.streams.skip_to(content["streams"])
         past = Past(revived(template, content["state"]), history)
-        self.estimates = past.steps(1)
+        self.estimates = past.history.steps(1)
         log.info("sequences %s: %d of %d steps were done, going on", self.path.stem, steps, self.num_steps)
         return past
 
@@ -144,13 +143,13 @@ class ChunkKeeper:
             raise InputError.of_path(self.path, f"a history of {steps} steps", expected)
         return steps
 
-    def __call__(self, step: int, state: Any, estimate: TrackHistory) -> None:
+    def __call__(self, step: int, state: Any, estimate: StepEstimate) -> None:
         """Note a step, and write it with all before it where it is time."""
         self.estimates.append(estimate)
         last = step + 1 == self.num_steps
         if not last and time.monotonic() - self.written < self.keeper.every_s:
             return
-        history = tuple(torch.stack(parts, 1).cpu() for parts in zip(*self.estimates, strict=True))
+        history = tuple(part.cpu() for part in TrackHistory.of_steps(self.estimates, 1))
         streams = self.streams.snapshot()
         self.keeper.save(self.path, {"state": plain(state), "history": history, "streams": streams})
         self.written = time.monotonic()

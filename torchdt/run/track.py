@@ -12,10 +12,10 @@ from torch import Generator
 from torchdt.core.errors import require
 from torchdt.core.memory import free_memory_gb, require_memory
 from torchdt.core.random import RandomStreams
-from torchdt.core.trees import join, tree_map
+from torchdt.core.trees import join
 from torchdt.data.prepare import Prepared
 from torchdt.data.recording import Recording
-from torchdt.filter.history import TrackHistory, history_like
+from torchdt.filter.history import StepEstimate, TrackHistory, history_like
 from torchdt.filter.tracker import Tracker
 from torchdt.run.chunks import MOST_ON_CPU, bytes_per_sequence, plan, run_chunks
 from torchdt.run.keeper import ChunkKeeper, Keeper
@@ -27,7 +27,7 @@ def track(
     recording: Recording,
     tracker: Tracker[Any],
     seeds: Sequence[int],
-    on_step: Callable[[int, Any, TrackHistory, slice], None] | None = None,
+    on_step: Callable[[int, Any, StepEstimate, slice], None] | None = None,
     *,
     memory_gb: float | None = None,
     workers: int = 1,
@@ -78,7 +78,7 @@ def track(
     log.debug("%d sequences of %d steps in %d chunks, %d at a time, within %.3g GB", *shape)
 
     def track_some(sequences: slice, check: Callable[[], None]) -> TrackHistory:
-        def report(step: int, state: Any, estimate: TrackHistory) -> None:
+        def report(step: int, state: Any, estimate: StepEstimate) -> None:
             check()
             if on_step is not None:
                 on_step(step, state, estimate, sequences)
@@ -97,7 +97,7 @@ def _track_chunk(
     tracker: Tracker[Any],
     seeds: Sequence[int],
     first: int,
-    on_step: Callable[[int, Any, TrackHistory], None],
+    on_step: Callable[[int, Any, StepEstimate], None],
     keep: Callable[[RandomStreams, int], ChunkKeeper] | None,
 ) -> TrackHistory:
     region = tracker.region
@@ -113,10 +113,10 @@ def _track_chunk(
         sizes = tracker.config.slots, region.num_coordinates, region.num_entries, recording.num_tones
         return history_like(recording.batch_size, steps, *sizes, region.low.dtype)
 
-    def report(step: int, state: Any, estimate: TrackHistory) -> None:
+    def report(step: int, state: Any, estimate: StepEstimate) -> None:
         on_step(step, state, units.of_step(estimate, step))
 
-    def report_and_keep(step: int, state: Any, estimate: TrackHistory) -> None:
+    def report_and_keep(step: int, state: Any, estimate: StepEstimate) -> None:
         report(step, state, estimate)
         if keeper is not None:
             keeper(step, state, estimate)
@@ -124,7 +124,7 @@ def _track_chunk(
     with torch.inference_mode():  # of the thread that calls
         past = None if keeper is None else keeper.past(tracker.init(prepared.priors), history_of)
         if past is not None:
-            done = past.steps(1)
+            done = past.history.steps(1)
             report(len(done) - 1, past.state, done[-1])
         history = tracker.run(prepared.measurement, prepared.priors, streams, report_and_keep, past, first)
     return units.of(history)
@@ -151,10 +151,9 @@ class _Units:
             log_evidence=history.log_evidence.double() - self.jacobian[:, first:last],
         )
 
-    def of_step(self, estimate: TrackHistory, step: int) -> TrackHistory:
-        """Scale the estimates of one step, which have no time dimension."""
-        scaled = self.of(tree_map(lambda part: part[:, None], estimate), step)
-        return tree_map(lambda part: part[:, 0], scaled)
+    def of_step(self, estimate: StepEstimate, step: int) -> StepEstimate:
+        """Scale the estimates of one step."""
+        return self.of(TrackHistory.of_steps([estimate], 1), step).steps(1)[0]
 
 
 def derive_seed(seed: int, purpose: str) -> int:

@@ -61,7 +61,7 @@ def score(history, truth):
 @pytest.fixture
 def state(history):
     """After step 2 of run 1, of a tracker whose unit of power is a hundred of the recording's."""
-    estimate = history.select(1).select(2)
+    estimate = history.select(1).steps(0)[2]
     offset = torch.randn(N, P, 4, generator=torch.Generator().manual_seed(0)) * torch.tensor(
         [2.0, 1, 0.1, 0.1]
     )

@@ -29,7 +29,7 @@ from torchdt.baselines.detect.points import Points
 from torchdt.core.linalg import NumericalError
 from torchdt.core.random import RandomStreams
 from torchdt.core.resampling import Systematic
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate, TrackHistory
 
 
 def assert_same(found: TrackHistory, expected: TrackHistory, **tolerance) -> None:
@@ -64,8 +64,8 @@ def test_any_batch_shape():
         for k in range(10):
             now = Points(*(t[part, k].reshape(*shape, *t.shape[2:]) for t in points))
             state, estimate = tracker.step(state, now, streams)
-            steps.append(TrackHistory(*(t.reshape(len(seeds), *t.shape[len(shape) :]) for t in estimate)))
-        found = TrackHistory(*(torch.stack(t, 1) for t in zip(*steps, strict=True)))
+            steps.append(StepEstimate(*(t.reshape(len(seeds), *t.shape[len(shape) :]) for t in estimate)))
+        found = TrackHistory.of_steps(steps, 1)
         expected = TrackHistory(*(t[: len(seeds), :10] for t in flat))
         assert expected.declared.any()
         assert_same(found, expected, rtol=1e-6, atol=1e-6)

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchdt.baselines.mot.tracker import PointState
 from torchdt.core.trees import tree_map
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate
 from torchdt.filter.state import TrackerState
 
 
@@ -27,7 +27,7 @@ class Belief(NamedTuple):
     power_weight: Tensor
 
 
-def belief_of(state: object, estimate: TrackHistory) -> Belief | None:
+def belief_of(state: object, estimate: StepEstimate) -> Belief | None:
     """What a tracker's state says about the objects.
 
     Args:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchdt.app.report.belief import Belief
 from torchdt.app.report.figures import COLOURS, Axis, to_array
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate
 from torchdt.model.region import Region
 
 CLOSE_UPS = 3
@@ -98,7 +98,7 @@ class Cloud(NamedTuple):
 
 
 def cloud_figure(
-    belief: Belief, estimate: TrackHistory, truth: Tensor | None, time_s: float, frame: Frame
+    belief: Belief, estimate: StepEstimate, truth: Tensor | None, time_s: float, frame: Frame
 ) -> Figure:
     """Draw all potential objects in the whole region, and the most probable ones from close up.
 
@@ -132,7 +132,7 @@ def cloud_figure(
     return figure
 
 
-def clouds_of(belief: Belief, estimate: TrackHistory, frame: Frame) -> list[Cloud]:
+def clouds_of(belief: Belief, estimate: StepEstimate, frame: Frame) -> list[Cloud]:
     """Clouds of all objects that may exist, the most probable first."""
     existence, label = to_array(estimate.existence), to_array(estimate.label)
     clouds = []

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchdt.app.report.belief import Belief, belief_of
 from torchdt.app.report.clouds import Frame, cloud_figure
 from torchdt.app.report.events import EventReport
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate
 from torchdt.metrics import Gospa
 
 LAYOUT = {
@@ -70,7 +70,7 @@ class TensorBoardReport(EventReport):
         step: int,
         time_s: float,
         state: object,
-        estimate: TrackHistory,
+        estimate: StepEstimate,
         gospa: Gospa | None = None,
         truth: Tensor | None = None,
     ) -> None:
@@ -82,7 +82,7 @@ class TensorBoardReport(EventReport):
             step: its number.
             time_s: its time, s, in the title of the particle clouds.
             state: of the tracker after this step, see `belief_of`.
-            estimate: of this step, a `TrackHistory` without its time dimension, in units of the data.
+            estimate: of this step, in units of the data.
             gospa: of this step, or None without truth.
             truth: `(L, d)` true positions, NaN = absent, for the particle clouds; None if unknown.
         """
@@ -109,7 +109,7 @@ class TensorBoardReport(EventReport):
             writer.add_text("config", f"```json\n{text}\n```")
 
     def _add_belief(
-        self, step: int, belief: Belief | None, estimate: TrackHistory, truth: Tensor | None, time_s: float
+        self, step: int, belief: Belief | None, estimate: StepEstimate, truth: Tensor | None, time_s: float
     ) -> None:
         existence = estimate.existence[estimate.existence > 0].cpu().double().numpy()
         self._add_histogram("belief/existence", existence, np.ones_like(existence), EXISTENCE_EDGES, step)
@@ -146,7 +146,7 @@ class TensorBoardReport(EventReport):
             self.add_scalar(f"{tag}/tone_{tone}", 10 * math.log10(power) if power > 0 else None, step)
 
 
-def label_names(estimate: TrackHistory) -> dict[int, str]:
+def label_names(estimate: StepEstimate) -> dict[int, str]:
     """Names of the labelled objects by their slots.
 
     Args:

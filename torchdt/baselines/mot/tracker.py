@@ -16,7 +16,7 @@ from torchdt.core.trees import tree_map
 from torchdt.core.weights import effective_sample_size, normalise, standard_deviation, weighted_mean
 from torchdt.data.prepare import require_step
 from torchdt.filter.declare import declare, idle_particles, prune, put_idle
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate
 from torchdt.filter.slots import join, take_rows
 from torchdt.model.existence import condition_inside, predict_log_odds
 from torchdt.model.motion.base import Motion
@@ -95,7 +95,7 @@ class PointTracker:
 
     def step(
         self, state: PointState, points: Points, streams: RandomStreams
-    ) -> tuple[PointState, TrackHistory]:
+    ) -> tuple[PointState, StepEstimate]:
         """Take in the points of one step.
 
         A step without points counts as one in which every object was missed, also where no data were taken.
@@ -106,7 +106,7 @@ class PointTracker:
             streams: random numbers; the same amount is drawn in every step.
 
         Returns:
-            The new belief, and the estimates of this step: a `TrackHistory` without its time dimension. The
+            The new belief, and the estimates of this step. The
             power of an object is that of its points, averaged over the associations, where it has one, and
             stays where it has none. The noise is that of the points. The evidence is NaN: the model gives
             points a likelihood, but not the snapshots they were found in.
@@ -126,7 +126,7 @@ class PointTracker:
         objects = self._most_probable(self._update(known, points, proposed))
         declared, label, next_label = declare(objects.log_odds, objects.label, state.next_label, cfg)
         mean = self.region.wrap(weighted_mean(objects.particles.mT, objects.log_weight.unsqueeze(-2)))
-        history = TrackHistory(
+        estimate = StepEstimate(
             existence=torch.sigmoid(objects.log_odds),
             declared=declared,
             label=label,
@@ -141,7 +141,7 @@ class PointTracker:
         )
         particles, log_weight = cfg.resampler.resample(objects.particles, objects.log_weight, resampling)
         objects = objects._replace(particles=particles, log_weight=log_weight, label=label)
-        return PointState(objects, next_label), history
+        return PointState(objects, next_label), estimate
 
     def _blank(self, slots: Sequence[int], num_tones: int) -> PointObjects:
         """Empty slots."""

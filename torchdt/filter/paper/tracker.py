@@ -16,7 +16,7 @@ from torchdt.field.base import BaseField, Field
 from torchdt.field.wrapped import CompletedField
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.declare import empty_slots, idle_particles, report
-from torchdt.filter.history import TrackHistory
+from torchdt.filter.history import StepEstimate
 from torchdt.filter.paper.births import newborn, pick_cells
 from torchdt.filter.paper.config import PaperConfig
 from torchdt.filter.paper.messages import pass_messages
@@ -155,7 +155,7 @@ class PaperTracker(Tracker[TrackerState]):
     @torch.no_grad()
     def step(
         self, state: TrackerState, measurement: Measurement, priors: Priors, streams: RandomStreams
-    ) -> tuple[TrackerState, TrackHistory]:
+    ) -> tuple[TrackerState, StepEstimate]:
         """Take in one step of data.
 
         Args:
@@ -165,7 +165,7 @@ class PaperTracker(Tracker[TrackerState]):
             streams: random numbers; the same amount is drawn in every step.
 
         Returns:
-            The new belief, and the estimates of this step: a `TrackHistory` without its time dimension. The
+            The new belief, and the estimates of this step. The
             evidence is NaN: on a graph with loops the messages have none.
 
         Raises:
