@@ -9,6 +9,7 @@ from torch.distributions import Independent, Normal
 
 from torchdt.baselines.mot.likelihood import GaussianPosition
 from torchdt.core.errors import InputError
+from torchdt.model.region import Region
 
 F64 = torch.float64
 SPREAD = [4.0, 9.0]
@@ -29,6 +30,19 @@ def test_density_is_the_normal_one(dtype):
 def test_false_points_are_uniform_in_the_region():
     found = GaussianPosition(make_region(), SPREAD).log_clutter(torch.zeros(2, 3, 2, dtype=F64))
     torch.testing.assert_close(found, torch.full((2, 3), -math.log(1000 * 500), dtype=F64))
+
+
+def test_false_points_are_uniform_in_what_a_field_leaves_of_the_region():
+    """Three quarters of its cells; the density over them integrates to one."""
+    box = make_region()
+    quarter = torch.tensor([500.0, 150.0], dtype=F64)
+    region = Region(box.coordinates, F64, inside=lambda state: (state[..., :2] < quarter).any(-1))
+    assert region.num_cells == 3 * 50 * 50 / 4
+    likelihood = GaussianPosition(region, SPREAD)
+    assert likelihood.log_clutter(torch.zeros(1, 2, dtype=F64)).item() == pytest.approx(-math.log(375_000))
+    draws = torch.zeros(1, 1, 4, dtype=F64)
+    _, log_weight = likelihood.propose(torch.tensor([[100.0, 300.0]], dtype=F64), draws)
+    assert log_weight.item() == pytest.approx(-math.log(375_000))
 
 
 def test_spread_is_half_a_birth_cell_unless_set():

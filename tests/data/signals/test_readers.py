@@ -11,6 +11,13 @@ from torchdt.data.signals.readers import open_npy, open_wav
 WIDTHS = ["u1", "i2", "i4", "f4", "f8"]
 
 
+def wav_of(bits, channels=1, tag=1, data=bytes(12)):
+    frame = channels * bits // 8
+    form = struct.pack("<4sIHHIIHH", b"fmt ", 16, tag, channels, 1500, 1500 * frame, frame, bits)
+    body = b"WAVE" + form + struct.pack("<4sI", b"data", len(data)) + data
+    return struct.pack("<4sI", b"RIFF", len(body)) + body
+
+
 def contents(signal):
     return torch.cat(list(signal.blocks(0, signal.num_samples, 300)), -1).numpy()
 
@@ -29,6 +36,31 @@ def test_wav_of_one_channel(tmp_path, samples):
     signal = open_wav(tmp_path / "a.wav")
     assert signal[1:] == (1, 1000, 96000.0)
     np.testing.assert_array_equal(contents(signal), samples[:1])
+
+
+@pytest.fixture
+def wav24(tmp_path):
+    """Two channels of 24 bits, the largest and the smallest number among them, and the file."""
+    samples = np.random.default_rng(1).integers(-(2**23), 2**23, (2, 500), dtype="<i4")
+    samples[:, :4] = [[-(2**23), 2**23 - 1, -1, 0], [1, 255, 256, -256]]
+    lower = samples.T.reshape(-1, 1).copy().view("u1")[:, :3]
+    (tmp_path / "a.wav").write_bytes(wav_of(24, channels=2, data=lower.tobytes()))
+    return samples, tmp_path / "a.wav"
+
+
+def test_wav_of_24_bits(wav24):
+    samples, path = wav24
+    signal = open_wav(path)
+    assert signal[1:] == (2, 500, 1500.0)
+    np.testing.assert_array_equal(contents(signal), samples)
+
+
+@pytest.mark.parametrize("missing", [1, 3, 6, 600])
+def test_wav_of_24_bits_cut_short(wav24, missing):
+    _, path = wav24
+    path.write_bytes(path.read_bytes()[:-missing])
+    with pytest.raises(InputError, match=r"'data.path': found '.*a.wav': .*, expected a complete .wav"):
+        open_wav(path)
 
 
 @pytest.mark.parametrize("dtype", [*WIDTHS, ">i2", ">f4"])
@@ -77,13 +109,6 @@ def test_npy_without_content(tmp_path, shape, found):
         open_npy(tmp_path / "a.npy")
 
 
-def wav_of(bits, channels=1, tag=1):
-    frame = channels * bits // 8
-    form = struct.pack("<4sIHHIIHH", b"fmt ", 16, tag, channels, 1500, 1500 * frame, frame, bits)
-    body = b"WAVE" + form + struct.pack("<4sI", b"data", 12) + bytes(12)
-    return struct.pack("<4sI", b"RIFF", len(body)) + body
-
-
 def test_the_crafted_wav_is_one(tmp_path):
     (tmp_path / "a.wav").write_bytes(wav_of(16))
     assert open_wav(tmp_path / "a.wav").num_samples == 6
@@ -91,11 +116,11 @@ def test_the_crafted_wav_is_one(tmp_path):
 
 @pytest.mark.parametrize(
     "content",
-    [b"not a recording", wav_of(24), wav_of(16, channels=0), wav_of(16, channels=4), wav_of(8, 1, 7)],
+    [b"not a recording", wav_of(40), wav_of(16, channels=0), wav_of(16, channels=4), wav_of(8, 1, 7)],
 )
 def test_wav_of_another_kind(tmp_path, content):
     (tmp_path / "a.wav").write_bytes(content)
-    with pytest.raises(InputError, match=r"'data.path': found .*a.wav.*8, 16, 32 or 64 bits"):
+    with pytest.raises(InputError, match=r"'data.path': found .*a.wav.*8, 16, 24, 32 or 64 bits"):
         open_wav(tmp_path / "a.wav")
 
 

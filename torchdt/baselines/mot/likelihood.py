@@ -72,7 +72,8 @@ class GaussianPosition:
         self.region, self.motion = region, (ConstantVelocity() if motion is None else motion).on(region)
         self.spread = per_coordinate(spread, region.cell / 2, "tracker.spread")
         self._turn = region.period / self.spread
-        self._log_volume = (region.high - region.low).log().sum()
+        # Of the cells in the region, which need not fill its box.
+        self._log_volume = region.cell.log().sum() + math.log(region.num_cells)
         self._log_peak = -self.spread.log().sum() - 0.5 * region.num_coordinates * math.log(2 * math.pi)
 
     def log_likelihood(self, point: Tensor, state: Tensor) -> Tensor:

@@ -1,6 +1,7 @@
-"""Readers of `.wav` and `.npy` files, which are mapped into memory and not loaded."""
+"""Readers of `.wav` and `.npy` files, mapped into memory and not loaded; only 24 bits cannot be mapped."""
 
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.io import wavfile
 from torchdt.core.files import regular_file
 from torchdt.data.signals.signal import Signal, checked, unreadable
 
-WAV = "a complete .wav file of 8, 16, 32 or 64 bits per sample"
+WAV = "a complete .wav file of 8, 16, 24, 32 or 64 bits per sample"
 NPY = "a complete .npy file of real numbers of shape (channels, samples)"
 
 
@@ -18,11 +19,11 @@ def open_wav(path: Path) -> Signal:
     """A `.wav` file; channels are sensors, in their order.
 
     Raises:
-        InputError: no such file, not a complete `.wav`, or of a width that cannot be mapped, such as 24 bits.
+        InputError: no such file, not a complete `.wav`, or of another width.
     """
     path = regular_file(path, WAV, unreadable)
     try:
-        sample_rate, samples = wavfile.read(path, mmap=True)
+        sample_rate, samples = _mapped_or_loaded(path)
     except Exception as error:  # damaged headers make the parser fail in many ways, NameError among them
         raise unreadable(path, _reason(error), WAV) from error
     channels = samples.reshape(len(samples), math.prod(samples.shape[1:])).T
@@ -32,6 +33,20 @@ def open_wav(path: Path) -> Signal:
         return channels[:, start:stop].astype("f8") - silence
 
     return checked(path, Signal(read, channels.shape[0], channels.shape[1], float(sample_rate)), WAV)
+
+
+def _mapped_or_loaded(path: Path) -> tuple[int, NDArray]:
+    """Sampling rate and samples, whole numbers in units of the last bit."""
+    try:
+        return wavfile.read(path, mmap=True)
+    except ValueError as error:
+        if "3-byte" not in str(error):
+            raise
+    with warnings.catch_warnings():
+        # Mapping refuses a file that ends before its data do; loading takes what there is.
+        warnings.filterwarnings("error", "Reached EOF prematurely", wavfile.WavFileWarning)
+        sample_rate, samples = wavfile.read(path)
+    return sample_rate, samples >> 8  # SciPy puts the 24 bits to the top of 32
 
 
 def open_npy(path: Path) -> Signal:
