@@ -78,9 +78,9 @@ def _share(areas: Sequence[Any], region: Region, key: str) -> Tensor:
     centre, half = region.cell_centres(), region.cell / 2
     total = torch.zeros_like(centre[:, 0])
     d = region.num_coordinates
-    for index, given in enumerate(areas):
+    for index, entry in enumerate(areas):
         name = f"{key}[{index}]"
-        area = _checked(name, given)
+        area = _checked(name, entry)
         for end in ("low", "high"):
             values = getattr(area, end)
             require(len(values) == d, f"{name}.{end}", values, f"one number for each of {d} coordinates")
@@ -94,11 +94,11 @@ def _share(areas: Sequence[Any], region: Region, key: str) -> Tensor:
     return total / total.sum()
 
 
-def _checked(name: str, given: Any) -> Area:
-    if not isinstance(given, Area):
+def _checked(name: str, area: Any) -> Area:
+    if not isinstance(area, Area):
         fields = [f.name for f in dataclasses.fields(Area)]
-        known = isinstance(given, Mapping) and {"low", "high"} <= set(given) <= set(fields)
-        require(known, name, given, f"values of {fields} by name")
-        given = Area(**given)
-    check(given, name)
-    return given
+        known = isinstance(area, Mapping) and {"low", "high"} <= set(area) <= set(fields)
+        require(known, name, area, f"values of {fields} by name")
+        area = Area(**area)
+    check(area, name)
+    return area

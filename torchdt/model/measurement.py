@@ -23,7 +23,7 @@ class Measurement(NamedTuple):
     Attributes:
         factor: `(*batch, I, M, R)` complex B; zero in the rows of missing sensors.
         num_snapshots: `(*batch, I)` real J, the number of snapshots; 0 where all are missing.
-        present: `(*batch, I, M)` real, 1 for a sensor that is heard and 0 for a missing one.
+        present: `(*batch, I, M)` real, 1 for a sensor with data and 0 for a missing one.
     """
 
     factor: Tensor

@@ -66,7 +66,7 @@ def data_priors(measurement: Measurement) -> Priors:
     power = 2 * energy.nanquantile(0.99, dim=-2)
     noise = 2 * per_sensor.nanquantile(0.5, dim=-2)
     tiny = torch.finfo(power.dtype).eps
-    # A tone that was never heard has no influence; any positive limit serves.
+    # A tone without data has no influence; any positive limit serves.
     return Priors(power.nan_to_num(nan=1.0).clamp_min(tiny), noise.nan_to_num(nan=1.0).clamp_min(tiny))
 
 

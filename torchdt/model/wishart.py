@@ -22,7 +22,7 @@ from torchdt.model.measurement import Measurement
 def log_normaliser(measurement: Measurement, count: Tensor) -> Tensor:
     """What the likelihood of J snapshots lacks to be the density of their sample covariance.
 
-    It is that of the density in `|R|^(J_0 - m) dR`, with the number J_0 that the data were given: it changes
+    It is that of the density in `|R|^(J_0 - m) dR`, with the number J_0 that comes with the data: it changes
     with the unit of the data as the likelihood of J_0 snapshots does, and J_0 may be any number.
 
     Args:
@@ -37,8 +37,8 @@ def log_normaliser(measurement: Measurement, count: Tensor) -> Tensor:
         NumericalError: where J is not above m - 1, or a sample covariance is not positive definite: of fewer
             snapshots than sensors, it has no such density.
     """
-    given = measurement.num_snapshots.double()
-    observed, present = given > 0, measurement.present.double()
+    nominal = measurement.num_snapshots.double()
+    observed, present = nominal > 0, measurement.present.double()
     size = present.sum(-1)
     count = torch.where(observed, count.double(), size)
     if not (count > size - 1).all():
@@ -50,9 +50,9 @@ def log_normaliser(measurement: Measurement, count: Tensor) -> Tensor:
     # Missing sensors, which all are in a step without data, add ones to the diagonal.
     scatter = factor @ factor.mH + torch.diag_embed(1.0 - present).to(factor)
     lower = cholesky(scatter, "sample covariance")
-    unit = torch.where(observed, given, 1.0)
+    unit = torch.where(observed, nominal, 1.0)
     log_det = 2 * lower.diagonal(dim1=-2, dim2=-1).real.log().sum(-1) - size * unit.log()
-    term = size * count * (math.pi * count).log() + (count - given) * log_det - _log_gamma(count, present)
+    term = size * count * (math.pi * count).log() + (count - nominal) * log_det - _log_gamma(count, present)
     return torch.where(observed, term, 0.0)
 
 

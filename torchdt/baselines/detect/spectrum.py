@@ -116,7 +116,7 @@ def spread(active: Active, num_cells: int) -> Tensor:
 
 
 def _start(response: Tensor, measurement: Measurement) -> Active:
-    """All columns with the powers of the conventional beamformer, averaged over the tones that are heard."""
+    """All columns with the powers of the conventional beamformer, averaged over the tones with data."""
     sensors = measurement.present[..., None, :]
     if not bool(sensors.all()):
         response = response * sensors
@@ -138,10 +138,10 @@ def _iterate(
     measurement: Measurement,
     layout: Grid,
     config: SblConfig,
-    enough: int,
+    most_columns: int,
 ) -> Active:
-    """Update until all problems are done, or no more than `enough` columns are left."""
-    while not bool(active.done.all()) and active.column.shape[-1] > enough:
+    """Update until all problems are done, or no more columns than `most_columns` are left."""
+    while not bool(active.done.all()) and active.column.shape[-1] > most_columns:
         noise = _noise(active, measurement, layout, config.sources)
         power = update(active.power, active.response, noise, measurement)
         top = power.amax(-1, keepdim=True)

@@ -1,4 +1,4 @@
-"""Conventional tracking of points: predict, propose, update, conclude."""
+"""Conventional tracking of points: predict, propose, update, report."""
 
 import math
 from collections.abc import Sequence

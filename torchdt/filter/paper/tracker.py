@@ -1,4 +1,4 @@
-"""Direct tracking on the paper's own graph: predict, pick, pass messages, conclude."""
+"""Direct tracking on the paper's own graph: predict, pick, pass messages, report."""
 
 import copy
 import math

@@ -56,7 +56,7 @@ class Picks(NamedTuple):
         position: `(*batch, Q, d)`.
         power: `(*batch, Q, I)` the best power of each tone; zero where inactive.
         scale: `(*batch, Q, I)` where the likelihood of the power lies: the best one, or that which drowns in
-            the background; infinite for a tone that is not heard.
+            the background; infinite for a tone without data.
         moment: `(*batch, Q, I, M, M)` complex `a a^H`, diffuse part included.
         diffuse: `(*batch, Q, I, M, M)` complex covariance per unit power, None where the model is exact.
         active: `(*batch, Q)` bool.
@@ -108,7 +108,7 @@ def search(
     alive = torch.ones_like(free, dtype=torch.bool)
     points = dictionary.points.expand(*free.shape, -1, -1)
     favour_of_cells, favoured = favour(points), torch.zeros_like(threshold)
-    found: list[tuple[Tensor, ...]] = []
+    picked: list[tuple[Tensor, ...]] = []
     scattered: list[Tensor] = []
     gains = [_log_likelihood(measurement, signal, belief, noise_model)]
     for pick in range(rounds.shape[-4]):
@@ -133,14 +133,14 @@ def search(
         signal = signal + power[..., None, None] * moment
         belief = noise_model.update(noise, measurement, signal)
         gains.append(_log_likelihood(measurement, signal, belief, noise_model) + favoured)
-        found.append((position, power, scale, moment, alive))
-    if not found:
+        picked.append((position, power, scale, moment, alive))
+    if not picked:
         return None, belief
     dim = free.ndim
-    position, power, scale, moment, alive = (torch.stack(parts, dim) for parts in zip(*found, strict=True))
+    position, power, scale, moment, alive = (torch.stack(parts, dim) for parts in zip(*picked, strict=True))
     # Together the picks up to the last one kept are worth the threshold each.
     gain = torch.stack(gains[1:], dim) - gains[0][..., None]
-    rank = torch.arange(1, len(found) + 1, dtype=gain.dtype, device=gain.device)
+    rank = torch.arange(1, len(picked) + 1, dtype=gain.dtype, device=gain.device)
     worthy = (alive & (gain > rank * threshold[..., None])).flip(-1).cummax(-1).values.flip(-1)
     active = torch.where(unsettled[..., None], worthy, alive)
     power = torch.where(active[..., None], power, 0.0)

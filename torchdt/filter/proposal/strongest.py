@@ -44,9 +44,9 @@ def strongest_cell(
     added = flat.num_snapshots.new_zeros(len(rows), dictionary.points.shape[-2])
     if favour is not None:
         added = favour.reshape(among.numel(), -1)[rows]
-    found = _strongest(dictionary, flat, added) if len(rows) else (flat.num_snapshots.sum(-1), rows)
-    nowhere = (found[0].new_full((among.numel(),), -torch.inf), rows.new_zeros(among.numel()))
-    score, cell = (t.index_copy(0, rows, f).reshape(among.shape) for t, f in zip(nowhere, found, strict=True))
+    best = _strongest(dictionary, flat, added) if len(rows) else (flat.num_snapshots.sum(-1), rows)
+    nowhere = (best[0].new_full((among.numel(),), -torch.inf), rows.new_zeros(among.numel()))
+    score, cell = (t.index_copy(0, rows, b).reshape(among.shape) for t, b in zip(nowhere, best, strict=True))
     return score, cell
 
 
@@ -69,8 +69,8 @@ def _strongest(dictionary: Dictionary, flat: Whitener, favour: Tensor) -> tuple[
     sure = best * (1 - slack) - slack * J.sum(-1)[:, None] + favour.gather(-1, promising)
     reached = sure.amax(-1)
     tested = (~(bound < reached[:, None])).scatter_(-1, promising, True)
-    found = [_test(dictionary, flat, favour, b, row.nonzero().squeeze(-1)) for b, row in enumerate(tested)]
-    score, cell = (torch.stack(t) for t in zip(*found, strict=True))
+    each = [_test(dictionary, flat, favour, b, row.nonzero().squeeze(-1)) for b, row in enumerate(tested)]
+    score, cell = (torch.stack(t) for t in zip(*each, strict=True))
     return score, cell
 
 
