@@ -25,6 +25,18 @@ STARTS = {
         *("tune", *SMALL, "logging=quiet", "train_seeds=[0]", "heldout_seeds=[1]"),
         *("tuning.steps=1", "tuning.slice_points=0"),
     ),
+    "detection": (
+        *("detection", "scene=line_faint", 'overrides=["scenario.num_steps=5","tracker.particles=50"]'),
+        *(
+            "levels=[0]",
+            "trackers=[direct]",
+            "runs=1",
+            "noise_runs=1",
+            "within=[5]",
+            "shown=5",
+            "tensorboard=false",
+        ),
+    ),
     "sweep": ("track", *SMALL, "tracker.particles=50,60", "model.survival=0.9", "seed=0"),
 }
 RESULTS = {
@@ -32,6 +44,7 @@ RESULTS = {
     "suite": "quality.json",
     "monte_carlo": "compare.json",
     "tuning": "tuned.yaml",
+    "detection": "detection.json",
 }
 
 
