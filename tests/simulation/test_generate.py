@@ -105,6 +105,13 @@ def test_sources_start_uniformly_in_the_region():
     assert off_diagonal.abs().max() < 5.6 / len(entries) ** 0.5
 
 
+def test_powers_that_start_uniformly():
+    levels = {"power_db": [-10.0, 3.0], "power_density": "uniform"}
+    population = draw(PopulationSettings(birth_mean=5.0, survival=0.3, **levels))
+    power = first_values(population.power, there(population))
+    follows(power, uniform(0.1, 10**0.3 - 0.1))
+
+
 def test_nothing_is_where_no_object_can_be():
     """Births in half of a box of two cells: as many as in a whole box, all in that half."""
     coordinate = Coordinate("x", "m", -1.0, 1.0, 1.0, -1e-3, 1e-3, 1e-9)

@@ -103,10 +103,15 @@ def draw_population(
     survives = draws.uniform(num_steps, num_sources) < population.survival
     lives = (age < 0) | region.contains(state) & ((age == 0) | survives)
     present = (age >= 0) & lives.cumprod(0).bool()
-    weakest, strongest = population.power_db
-    decibel = weakest + (strongest - weakest) * draws.uniform(num_sources, num_tones)
+    drawn = draws.uniform(num_sources, num_tones)
+    if population.power_density == "uniform":
+        weakest, strongest = (10 ** (level / 10) for level in population.power_db)
+        first_power = weakest + (strongest - weakest) * drawn
+    else:
+        weakest, strongest = population.power_db
+        first_power = 10 ** ((weakest + (strongest - weakest) * drawn) / 10)
     moving = (age > 0)[..., None].expand(-1, -1, num_tones)
-    power = draw_chain(10 ** (decibel / 10), moving, population.power_shape, generator)
+    power = draw_chain(first_power, moving, population.power_shape, generator)
 
     kept = _admitted(present, birth, population.max_objects)
     state, power = (torch.where(present[..., None], t, torch.nan)[:, kept] for t in (state, power))

@@ -28,6 +28,7 @@ from torchdt.model.region import Coordinate
 
 AMPLITUDES = ("gaussian", "constant_modulus")
 DISTANCES = ("euclidean", "great_circle")
+POWERS = ("log_uniform", "uniform")
 
 
 Magnitude = Annotated[float, Range("a number from 0 up", low=0, most=1e5)]
@@ -127,9 +128,10 @@ class PopulationSettings(Checked):
         survival: p_s, probability to go on existing for one step.
         power_shape: c_gamma, shape of the Gamma transition of the powers.
         noise_shape: c_eta, shape of the Gamma transition of the noise variances.
-        power_db: lowest and highest initial power of each tone, relative to the scenario's reference; uniform
-            in dB between them.
+        power_db: lowest and highest initial power of each tone, relative to the scenario's reference.
         max_objects: number of sources at once; births beyond it are dropped. None drops none.
+        power_density: of the initial powers between their limits: `log_uniform`, even in dB, or `uniform`, as
+            the tracker assumes.
     """
 
     KEY: ClassVar[str] = "scenario.population"
@@ -140,6 +142,7 @@ class PopulationSettings(Checked):
     noise_shape: Positive = 1e2
     power_db: list[Decibels] = field(default_factory=lambda: [0.0, 0.0])
     max_objects: Count | None = None
+    power_density: Annotated[str, OneOf(POWERS)] = "log_uniform"
 
     def __post_init__(self) -> None:
         super().__post_init__()
