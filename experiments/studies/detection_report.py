@@ -115,21 +115,24 @@ def write_events(directory: Path, report: Report, figure: Figure) -> None:
 
 
 def print_report(console: Console, report: Report) -> None:
-    """Print probabilities over the levels, and what follows from them."""
-    levels = [f"{level:g} dB" for level in report.levels]
+    """Print probabilities over the levels, and what follows from them, a column for each tracker."""
     table = Table(
         title=f"Share of sources declared within {report.shown} steps",
-        caption="50 %: level of one half, and how far it is above the bound; false: tracks per hour of noise",
+        caption="50 %: level of one half; false: tracks per hour of noise, and the end of its 95 % interval",
     )
-    table.add_column("tracker", no_wrap=True)
-    for header in (*levels, "50 %", "from bound", "false/h (95 %)"):
-        table.add_column(header, justify="right", no_wrap=True)
+    table.add_column("level", no_wrap=True)
+    for name in report.found:
+        table.add_column(name, justify="right", no_wrap=True)
+    shares = [detections.within(report.shown) for detections in report.found.values()]
+    for level, row in zip(report.levels, zip(*shares, strict=True), strict=True):
+        table.add_row(f"{level:g} dB", *(f"{estimate.value:.2f}" for estimate in row))
+    table.add_section()
+    halves = [detections.half(report.levels, report.shown) for detections in report.found.values()]
     bound = report.found[BOUND].half(report.levels, report.shown)
-    for name, detections in report.found.items():
-        shares = [f"{e.value:.2f}" for e in detections.within(report.shown)]
-        half, false = detections.half(report.levels, report.shown), detections.false_per_hour
-        rates = f"{false.value:.2g} ({false.low:.2g}-{false.high:.2g})"
-        table.add_row(name, *shares, _decibel(half), _decibel(half - bound), rates)
+    table.add_row("50 %, dB", *map(_decibel, halves))
+    table.add_row("from bound, dB", *(_decibel(half - bound) for half in halves))
+    false = [detections.false_per_hour for detections in report.found.values()]
+    table.add_row("false/h", *(f"{estimate.value:.2g} (to {estimate.high:.3g})" for estimate in false))
     console.print(table)
 
 

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
 PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
-CONFIGURED = ("track", "tune", "compare", "quality", "tart")
+CONFIGURED = ("track", "tune", "compare", "quality", "tart", "detection")
 
 
 def blocks(language, page):
