@@ -5,7 +5,7 @@ import pytest
 import torch
 from oracles.arrays import complex_normal
 
-from torchdt.calibration.focalise import focalise, leftover_share
+from torchdt.calibration.focalise import Focus, focalise, leftover_share
 from torchdt.model.measurement import from_snapshots
 
 pytestmark = pytest.mark.slow
@@ -70,16 +70,31 @@ def test_two_sources_on_the_same_spot_do_not_break_it():
         )
 
 
-def test_finds_environment_and_positions(linear, family, scene):
-    """Started in the nominal environment, 15 m and 0.7 m off.
+def off_by(truth: torch.Tensor, metres: tuple[float, float], seed: int) -> torch.Tensor:
+    """Positions that miss the true ones, to either side."""
+    sign = torch.randn(truth.shape, generator=torch.Generator().manual_seed(seed), dtype=F64).sign()
+    return truth + sign * torch.tensor(metres, dtype=F64)
 
-    The linearised field and the noise leave errors of 0.002 degrees, 4 cm of water and 2.4 m of range.
-    """
-    sign = torch.randn(scene.truth.shape, generator=torch.Generator().manual_seed(1), dtype=F64).sign()
-    start = scene.truth + sign * torch.tensor([15.0, 0.7], dtype=F64)
+
+@pytest.fixture(scope="module")
+def fit(linear, family, scene):
+    """A fit of both sources in all steps."""
     active = torch.ones(8, 2, dtype=torch.bool)
-    args = (linear, family.prior_std, NOMINAL, start, active, scene.measurement, SCALE)
-    fitted = focalise(*args)
+
+    def fit(start, theta=NOMINAL, **options) -> Focus:
+        return focalise(linear, family.prior_std, theta, start, active, scene.measurement, SCALE, **options)
+
+    return fit
+
+
+@pytest.fixture(scope="module")
+def fitted(fit, scene) -> Focus:
+    """Started in the nominal environment, 15 m and 0.7 m off."""
+    return fit(off_by(scene.truth, (15.0, 0.7), 1))
+
+
+def test_finds_environment_and_positions(fitted, linear, family, scene):
+    """The linearised field and the noise leave errors of 0.002 degrees, 4 cm of water and 2.4 m of range."""
     assert float(fitted.theta[2] - scene.theta[2]) == pytest.approx(0, abs=0.1)
     assert float(fitted.theta[3] - scene.theta[3]) == pytest.approx(0, abs=0.2)
     torch.testing.assert_close(fitted.theta[:2], scene.theta[:2], rtol=0.0, atol=0.2)
@@ -88,6 +103,7 @@ def test_finds_environment_and_positions(linear, family, scene):
     assert error[..., 1].max() < 0.3
     # What is left is noise: 1 % of it per source and sensor, less what the fit takes along.
     assert fitted.leftover.mean() < 0.02
+    active = torch.ones(8, 2, dtype=torch.bool)
     torch.testing.assert_close(
         fitted.leftover, leftover_share(linear(fitted.theta)(fitted.position), active, scene.measurement)
     )
@@ -97,30 +113,23 @@ def test_finds_environment_and_positions(linear, family, scene):
     torch.testing.assert_close(fitted.log_posterior, log_likelihood + log_prior)
 
 
-def test_reaches_the_same_optimum_from_farther_off(linear, family, scene):
+def test_reaches_the_same_optimum_from_farther_off(fit, fitted, scene):
     """From 35 m and 1.5 m; a fit that starts with every detail stays 7 nats below."""
-    sign = torch.randn(scene.truth.shape, generator=torch.Generator().manual_seed(0), dtype=F64).sign()
-    active = torch.ones(8, 2, dtype=torch.bool)
-    best = [
-        focalise(linear, family.prior_std, NOMINAL, start, active, scene.measurement, SCALE).log_posterior
-        for start in (scene.truth, scene.truth + sign * torch.tensor([35.0, 1.5], dtype=F64))
-    ]
-    assert float(best[1]) == pytest.approx(float(best[0]), abs=0.5)
+    farther = fit(off_by(scene.truth, (35.0, 1.5), 0))
+    assert float(farther.log_posterior) == pytest.approx(float(fitted.log_posterior), abs=0.5)
 
 
-def test_keeps_the_environment_on_demand(linear, family, scene):
+def test_keeps_the_environment_on_demand(fit, fitted, linear, scene):
     theta = torch.tensor([0.5, -0.2, 0.3, 0.1], dtype=F64)
     start = scene.truth + torch.tensor([15.0, 0.7], dtype=F64)
-    active = torch.ones(8, 2, dtype=torch.bool)
-    args = (linear, family.prior_std, theta, start, active, scene.measurement, SCALE)
-    fixed = focalise(*args, free_environment=False)
+    fixed = fit(start, theta, free_environment=False)
     torch.testing.assert_close(fixed.theta, theta, rtol=0.0, atol=1e-15)
     assert (fixed.position - start).abs().max() > 1
     assert not fixed.position.requires_grad
     assert not fixed.theta.requires_grad
-    before = leftover_share(linear(theta)(start), active, scene.measurement)
+    before = leftover_share(linear(theta)(start), torch.ones(8, 2, dtype=torch.bool), scene.measurement)
     assert fixed.leftover.log().mean() < before.log().mean()
-    assert focalise(*args).log_posterior > fixed.log_posterior + 500
+    assert fitted.log_posterior > fixed.log_posterior + 500
 
 
 def test_absent_sources_and_silent_steps_stay_where_they_are(linear, family, scene):
