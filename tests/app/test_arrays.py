@@ -134,19 +134,7 @@ def test_positions_of_a_file_replace_the_configured_ones(launch, runs, settings,
             "field.coordinates=bearing",
             "'scenario.coordinates': found 2 coordinates, expected 1",
         ),
-        (
-            "planar_array",
-            "field.sensor_positions=[[0,0],[1,1]]",
-            "'field.sensor_positions': found shape (2, 2)",
-        ),
-        (
-            "planar_array",
-            "field.sensor_positions=[[0,0,0],[.1,0,0]]",
-            "'field.sensor_positions': found sensors that",
-        ),
-        ("planar_array", "field.freqs=[0]", "'field.freqs': found [0], expected one positive"),
         ("near_field", "field.num_coordinates=3", "'scenario.coordinates': found 2 coordinates, expected 3"),
-        ("near_field", "field.wave_speed=fast", "'field.wave_speed': found fast"),
     ],
 )
 def test_what_does_not_fit_is_named(launch, name, override, words):

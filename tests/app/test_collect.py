@@ -17,8 +17,8 @@ from torchdt.app.report.collect import Row, interval_figure
 from torchdt.app.report.collect_runs import Run
 
 pytestmark = pytest.mark.slow
-QUIET = ("scenario=line_array", "scenario.num_steps=5", "logging=quiet")
-SIZE = (*QUIET, *SMALL)
+QUIET = ("scenario=line_array", "scenario.num_steps=3", "logging=quiet")
+SIZE = (*SMALL, *QUIET)
 PARTICLES, SEEDS = (60, 100), (0, 1, 2)
 
 

@@ -1,11 +1,6 @@
 import csv
 import json
 import math
-import os
-import random
-import signal
-import subprocess
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from unittest import mock
@@ -13,8 +8,8 @@ from unittest import mock
 import pytest
 import torch
 import yaml
-from hydra import compose, initialize_config_module
-from oracles.scripts import FOLDER, SMALL, call, load
+from hydra import compose
+from oracles.scripts import SMALL, call, configuration, load
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from torchdt.app.build import simulate
@@ -32,24 +27,6 @@ POINTS = ("tracker.power_points=16", "tracker.noise_points=64")
 LINE = ("scenario=line_array", *SMALL, *POINTS, "train_seeds=[0,1]", "heldout_seeds=[7]")
 SHORT = ("tuning.steps=4", "tuning.heldout_every=2", "tuning.gospa_every=2", "tuning.slice_points=2")
 NAMES = ("power_shape", "noise_shape", "survival", "birth_mean")
-# Ends its own process in the middle of writing the checkpoint that its first argument counts.
-KILLED = """
-import os, runpy, signal, sys
-from torchdt.run import checkpoint
-count, script = int(sys.argv[1]), sys.argv[2]
-write, calls = checkpoint.atomic_write, []
-def half(path):
-    calls.append(1)
-    if len(calls) == count:
-        with write(path) as file:
-            file.write(b"half")
-            file.flush()
-            os.kill(os.getpid(), signal.SIGKILL)
-    return write(path)
-checkpoint.atomic_write = half
-del sys.argv[:2]
-runpy.run_path(script, run_name="__main__")
-"""
 
 
 @dataclass
@@ -210,20 +187,6 @@ def test_interrupted_run_goes_on(run, tmp_path):
     assert [event.step for event in events.Scalars("tuning/objective")] == [0, 1, 2, 3, 4]
 
 
-def test_killed_run_goes_on(run, tmp_path):
-    count = random.SystemRandom().randint(2, 5)
-    places = [FOLDER / "tune.py", *LINE, *SHORT, f"hydra.run.dir={tmp_path}"]
-    environment = os.environ | {"OMP_NUM_THREADS": str(torch.get_num_threads())}  # rounds alike
-    command = [sys.executable, "-c", KILLED, str(count), *places]
-    done = subprocess.run(command, env=environment, capture_output=True, check=False, timeout=120)
-    assert done.returncode == -signal.SIGKILL, done.stderr
-    assert len(torch.load(tmp_path / "checkpoint.pt", weights_only=True)["content"]["records"]) == count - 1
-    resumed = tune(tmp_path, "logging=quiet")
-    assert resumed.status == 0, resumed.err
-    assert resumed.rows() == run.rows(), f"killed in checkpoint {count}"
-    assert resumed.json() == run.json(), f"killed in checkpoint {count}"
-
-
 def test_checkpoint_of_another_configuration(run):
     before = {path: path.stat().st_mtime_ns for path in run.directory.iterdir() if path.name != ".hydra"}
     del before[run.directory / "tune.log"]
@@ -340,7 +303,7 @@ def test_bad_input(tmp_path, override, words):
     ],
 )
 def test_bad_settings(overrides, words):
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
+    with configuration():
         config = compose("tune", overrides=overrides)
     with pytest.raises(InputError, match=words):
         settings_of(config)
@@ -361,14 +324,14 @@ def test_broken_checkpoint(tmp_path):
 
 def test_every_tuning_option_composes():
     for option in ("gradient", "tpe", "grid"):
-        with initialize_config_module("torchdt.conf", version_base="1.3"):
+        with configuration():
             settings = settings_of(compose("tune", overrides=[f"tuning={option}"]))
         assert settings.tuning.method == option
         assert set(settings.hyperparameters) == set(NAMES)
 
 
 def test_settings_survive_a_change():
-    with initialize_config_module("torchdt.conf", version_base="1.3"):
+    with configuration():
         settings = settings_of(compose("tune"))
     assert replace(settings, seed=1).hyperparameters == settings.hyperparameters
     with pytest.raises(InputError, match="key 'runs'"):
