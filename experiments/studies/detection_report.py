@@ -138,31 +138,29 @@ def print_report(console: Console, report: Report) -> None:
 
 def detection_figure(report: Report) -> Figure:
     """Probability over level, a line for each tracker, with 95 % intervals; the bound in black."""
-    figure = Figure(figsize=(6.4, 3.8), layout="constrained")
+    figure = Figure(figsize=(7.2, 3.8), layout="constrained")
     axes = figure.subplots()
     others = [name for name in report.found if name != BOUND]
     for name, detections in report.found.items():
         estimates = detections.within(report.shown)
-        values = [e.value for e in estimates]
-        below = [e.value - e.low for e in estimates]
-        above = [e.high - e.value for e in estimates]
         index = others.index(name) if name in others else None
-        axes.errorbar(
+        colour = "black" if index is None else COLOURS[index % len(COLOURS)]
+        axes.plot(
             report.levels,
-            values,
-            [below, above],
-            color="black" if index is None else COLOURS[index % len(COLOURS)],
-            marker="none" if index is None else MARKERS[index % len(MARKERS)],
+            [estimate.value for estimate in estimates],
+            color=colour,
+            marker="" if index is None else MARKERS[index % len(MARKERS)],
             linestyle="--" if index is None else "-",
-            capsize=2,
             label=name,
         )
+        low, high = ([getattr(estimate, end) for estimate in estimates] for end in ("low", "high"))
+        axes.fill_between(report.levels, low, high, color=colour, alpha=0.1, linewidth=0)
     axes.axhline(0.5, color="black", alpha=0.3, linewidth=0.8)
     axes.set_xlabel("Level per element, tone and snapshot (dB)")
     axes.set_ylabel(f"Declared within {report.shown} steps")
     axes.set_ylim(-0.03, 1.03)
     axes.grid(alpha=0.3)
-    axes.legend()
+    figure.legend(loc="outside right upper")
     return figure
 
 
