@@ -1,3 +1,4 @@
+import copy
 import csv
 import functools
 import json
@@ -8,10 +9,16 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from oracles.scripts import SMALL, call, load, track_settings
+from hydra import compose
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from oracles.scripts import SMALL, call, configuration, load, track_settings
 
 from torchdt.app import track
 from torchdt.app.build import simulate
+from torchdt.app.parallel import track_in_chunks
+from torchdt.app.settings import settings_of
+from torchdt.app.track import set_up
 
 SMALL_LINE = ("scenario=line_array", *SMALL)
 
@@ -73,6 +80,30 @@ def launch(tmp_path_factory):
 @pytest.fixture(scope="session")
 def settings():
     return track_settings
+
+
+@pytest.fixture(scope="session")
+def composed():
+    """The configuration of `attempt`."""
+    with configuration():
+        return compose("track", overrides=[*SMALL_LINE, "data=npz", "data.kind=simulated"])
+
+
+@pytest.fixture(scope="session")
+def attempt(composed):
+    """What a job makes of its configuration, up to the tracks, for much less than composing it takes.
+
+    Overrides choose no files of configuration; `data.kind=npz data.path=FILE` reads a recording.
+    """
+
+    def attempt(*overrides):
+        config = copy.deepcopy(composed)
+        parsed = OverridesParser.create().parse_overrides(list(overrides))
+        ConfigLoaderImpl._apply_overrides_to_config(parsed, config)
+        settings = settings_of(config)
+        return track_in_chunks(settings, *set_up(settings))
+
+    return attempt
 
 
 @pytest.fixture(scope="session")

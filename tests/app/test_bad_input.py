@@ -1,19 +1,10 @@
 """What does not fit ends the run with a message that names the key, what was found and what was expected."""
 
-import copy
-
 import numpy as np
 import pytest
-from hydra import compose
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from oracles.arrays import changed, sample_covariance
-from oracles.scripts import SMALL, configuration
 
-from torchdt.app.parallel import track_in_chunks
-from torchdt.app.settings import settings_of
-from torchdt.app.track import set_up
 from torchdt.core.errors import InputError
 from torchdt.data.npz import write_npz
 
@@ -21,27 +12,6 @@ pytestmark = pytest.mark.slow
 FIRST = "scenario.sources.first"
 PATH = "scenario.paths.first"
 MISMATCH = "scenario.mismatch"
-
-
-@pytest.fixture(scope="module")
-def composed():
-    """The configuration to which overrides are applied: composing it takes most of the time of a job."""
-    with configuration():
-        return compose("track", overrides=["scenario=line_array", *SMALL, "data=npz", "data.kind=simulated"])
-
-
-@pytest.fixture
-def attempt(composed):
-    """What a job does with its configuration up to the tracks; no overrides that choose files."""
-
-    def attempt(*overrides):
-        config = copy.deepcopy(composed)
-        parsed = OverridesParser.create().parse_overrides(list(overrides))
-        ConfigLoaderImpl._apply_overrides_to_config(parsed, config)
-        settings = settings_of(config)
-        return track_in_chunks(settings, *set_up(settings))
-
-    return attempt
 
 
 @pytest.fixture

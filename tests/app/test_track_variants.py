@@ -9,7 +9,7 @@ from torchdt.data.npz import write_npz
 
 pytestmark = pytest.mark.slow
 VARIANTS = "variants=[{survival: 0.9},{survival: 0.99, birth_mean: 1e-2, driving_variance: [1e-2]}]"
-LONG = ("scenario.num_steps=12", "runs=2", "seed=3")
+LONG = ("scenario.num_steps=6", "runs=2", "seed=3")
 
 
 @pytest.fixture(scope="module")

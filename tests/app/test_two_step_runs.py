@@ -97,11 +97,6 @@ def fails(status, message, words):
     [
         (
             "mp_bp",
-            "tracker.detection_probability=1.5",
-            ("key 'tracker.detection_probability'", "found 1.5", "a probability"),
-        ),
-        (
-            "mp_bp",
             "model.motion.driving_variance=[1,2]",
             ("key 'model.motion.driving_variance'", "[1, 2]", "for each of 1"),
         ),
@@ -110,15 +105,8 @@ def fails(status, message, words):
             "tracker.spread={range: -1}",
             ("key 'tracker.spread'", "found {'range': -1.0", "each a positive number"),
         ),
-        ("mp_bp", "tracker.spread=[1]", ("tracker.spread", "ListConfig")),
         ("mp_bp", "tracker.births=3", ("'births'", "not in 'TwoStepConfig'")),
         ("mp_bp", "tracker.detector=null", ("tracker.detector", "not Optional")),
-        (
-            "mp_bp",
-            "tracker.detector.points=0",
-            ("key 'tracker.detector.points'", "found 0", "a positive integer"),
-        ),
-        ("mp_bp", "tracker.detector.points=many", ("tracker.detector.points", "'many'", "Integer")),
         ("mp_bp", "tracker.detector.sources=3", ("'sources'", "not in 'PursuitConfig'")),
         (
             "mp_bp",

@@ -27,6 +27,7 @@ from torchdt.model.noise.base import Noise
 from torchdt.model.prior import Priors
 from torchdt.model.region import Coordinate, Region
 
+pytestmark = pytest.mark.slow
 F64 = torch.float64
 ETA, POWER, DRIVING, RUNS, PARTICLES = 0.0125, 0.02, 0.15, 6, 800
 FIELD = make_field()
