@@ -6,7 +6,7 @@ from oracles.scripts import call, load
 
 pytestmark = pytest.mark.slow
 
-SMALL = ("train_seeds=[3,4]", "scenario.num_steps=6", "tracker.particles=60", "model.birth.birth_mean=0.1")
+SMALL = ("train_seeds=[3]", "scenario.num_steps=4", "tracker.particles=60", "model.birth.birth_mean=0.1")
 
 
 def run(tmp_path, *arguments):

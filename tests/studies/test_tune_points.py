@@ -108,7 +108,8 @@ def test_settings_out_of_range(key, value):
 
 
 def test_scenarios_that_do_not_fit_in_one_batch(search):
-    _, status, err = search("suite=[line_array,line_array_model]", "overrides=[]")
+    few = 'overrides=["tracker.particles=100","tracker.slots=4"]'
+    _, status, err = search("suite=[line_array,line_array_model]", few, "evaluations=1")
     assert status == 0, err
     _, status, err = search(
         "suite=[line_array,empty]", 'overrides=["scenario.num_steps=2","calibration=none"]'

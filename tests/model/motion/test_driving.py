@@ -10,7 +10,7 @@ from torchdt.model.motion.driving import Reparameterised, Score, drive
 
 pytestmark = pytest.mark.slow
 F64 = torch.float64
-STEPS, PARTICLES, RUNS, SEED = 50, 2000, 128, 1
+STEPS, PARTICLES, RUNS, SEED = 50, 1000, 128, 1
 THETA = torch.tensor([0.7, 0.2], dtype=F64).log()  # log q, log r; the data come from q = 1, r = 0.15
 
 
