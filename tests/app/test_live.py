@@ -25,6 +25,7 @@ def report(recording, settings, tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_all_that_is_written_of_a_step_is_of_the_first_sequence(report, recording):
     live_report, written = report
     first = torch.zeros(1, 3, 2, dtype=torch.float64)

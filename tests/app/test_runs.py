@@ -89,6 +89,7 @@ def water(settings):
     return water
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ["eof_scale=1", "tilt_deg=[0.5,1.0]", "water_depth_m=[1,1]"])
 def test_mismatch_changes_the_data(water, key):
     assert not torch.equal(water(f"scenario.mismatch.{key}"), water())

@@ -27,6 +27,7 @@ def settings(*overrides) -> TuneSettings:
         return settings_of(compose("tune", overrides=[*SMALL, "scenario.num_steps=1", *overrides]))
 
 
+@pytest.mark.slow
 def test_it_starts_as_configured():
     """On covariances of a number of snapshots that they say, and in an environment other than the nominal."""
     chosen = settings(

@@ -194,6 +194,7 @@ NUMBERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gradient", [Score(), Reparameterised()])
 def test_gradient_of_two_modes_equals_finite_differences(gradient):
     """Through shares, means and covariances of the modes; proposals stand still. Relative error 1e-5."""

@@ -70,6 +70,7 @@ def test_a_stream_waits_for_the_data(kind, measurement):
     assert next(stream, None) is None
 
 
+@pytest.mark.slow
 @each
 @torch.inference_mode()
 def test_a_stream_keeps_nothing(kind, measurement):

@@ -80,6 +80,7 @@ def points(state):
     return PointState(objects, torch.tensor(13))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["state", "points"])
 def test_beliefs_at_an_interval(tmp_path, history, truth, frame, kind, request):
     state = request.getfixturevalue(kind)
@@ -152,6 +153,7 @@ def test_unknown_states_show_existence_alone(tmp_path, history, frame):
     assert (tags["histograms"], tags["images"]) == (["belief/existence"], [])
 
 
+@pytest.mark.slow
 def test_goes_on_at_a_step(tmp_path, history, score, state, frame):
     killed = TensorBoardReport(tmp_path, interval=2, frame=frame)
     write(killed, history, score, state)

@@ -218,6 +218,7 @@ def test_covariances_are_as_good_as_snapshots():
     same(found, make_detector()(from_snapshots(z)), rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "threshold"), [(18, THRESHOLD), (20, 0.0)])
 def test_a_step_does_not_depend_on_the_others_of_a_batch(seed, threshold):
     """12 steps of 6 columns are more than are multiplied at once."""

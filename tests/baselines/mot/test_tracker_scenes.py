@@ -35,6 +35,7 @@ from torchdt.filter.history import TrackHistory
 from torchdt.metrics.gospa import gospa
 
 
+@pytest.mark.slow
 def test_one_object_has_the_exact_posterior():
     """Points at hand, some of them false, among which no object is born; 40 particle filters beside the exact
     mixture of all associations. The means of their estimates of 4 coordinates, of their variances and of
@@ -97,6 +98,7 @@ def test_one_object_has_the_exact_posterior():
         assert standard_error[8] < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
 def test_objects_are_found_counted_and_named(dtype):
     """Four that come and go, 8 runs. Measured on three sets of seeds: from the 5th step after a birth or a
