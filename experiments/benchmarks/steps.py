@@ -18,7 +18,7 @@ from torchdt.data.recording import Recording
 from torchdt.filter.bp.moments import response_moment, signal_covariance
 from torchdt.filter.bp.schedule import update
 from torchdt.filter.context import StepContext
-from torchdt.filter.declare import extract_estimates
+from torchdt.filter.declare import posterior, report
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.placement import Placer
 from torchdt.filter.proposal.moved import respond
@@ -132,7 +132,7 @@ def forward_parts(
         proposal=cfg.proposal,
     )
     nothing = torch.zeros_like(signal)
-    picks, explained = look(nothing, noise, torch.full_like(occupied, cfg.slots))
+    picks, explained, _ = look(nothing, noise, torch.full_like(occupied, cfg.slots))
     if picks is None:
         raise InputError.of_key("overrides", "a step in which nothing is found", "data with a source")
     model = tracker.model
@@ -167,7 +167,9 @@ def forward_parts(
         ),
         "evidence": (partial(tracker.evidence, *weighing), str(cfg.evidence)),
         "conclusion": (
-            partial(extract_estimates, placed.objects, beliefs, state, log_evidence, region, cfg),
+            partial(
+                report, posterior(placed.objects, beliefs), beliefs.noise, state, log_evidence, region, cfg
+            ),
             "",
         ),
         WHOLE: (partial(tracker.step, state, measurement, priors, streams), f"{cfg.slots} slots, {one}"),

@@ -16,6 +16,7 @@ from torchdt.filter.bp.evidence import SampledEvidence
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.history import TrackHistory
+from torchdt.filter.intensity.settings import Ignored
 from torchdt.filter.proposal.adapted import Adapted
 from torchdt.model.birth import Birth, UniformBirth
 from torchdt.model.birth_areas import AreaBirth
@@ -61,7 +62,8 @@ def step(
     )
     region = Region([Coordinate(**(BEARING | {"cell": cell}))], F64)
     model = Model(birth=birth or UniformBirth())
-    tracker = DirectTracker(FIELD, region, 1.0, TrackerConfig(**settings), model)
+    config = TrackerConfig(**settings, undetected=Ignored())
+    tracker = DirectTracker(FIELD, region, 1.0, config, model)
     log_mean = torch.tensor(BIRTH_MEAN, dtype=F64).log().requires_grad_()
     tracker = tracker.with_model(tracker.model.with_numbers({"birth_mean": log_mean.exp()}))
     limit = torch.full((runs, 2), LIMIT, dtype=F64)

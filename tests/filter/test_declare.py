@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchdt.filter.bp.schedule import Beliefs, as_belief
 from torchdt.filter.config import TrackerConfig
-from torchdt.filter.declare import empty_slots, extract_estimates, idle_particles
+from torchdt.filter.declare import empty_slots, idle_particles, posterior, report
 from torchdt.filter.state import Objects, TrackerState
 from torchdt.model.noise.base import Noise
 
@@ -50,18 +50,25 @@ OLD = TrackerState(
 def end(existence: list[list[float]], label: list[list[int]], power: list[float]):
     """Prior objects with the weights of others, the posterior beliefs, and what becomes of them."""
     prior = make_objects([[0.5] * len(power)] * 2, label, power)
-    posterior = make_objects(existence, label, power, seed=2)
+    updated = make_objects(existence, label, power, seed=2)
     rng = torch.Generator().manual_seed(3)
     noise = Noise(
         torch.rand(2, TONES, 3, generator=rng, dtype=F64),
         torch.rand(2, TONES, 3, generator=rng, dtype=F64).log_softmax(-1),
     )
     unused = torch.zeros(())
-    beliefs = Beliefs(as_belief(posterior), noise, unused, unused, unused)
+    beliefs = Beliefs(as_belief(updated), noise, unused, unused, unused)
     return (
         prior,
         beliefs,
-        extract_estimates(prior, beliefs, OLD, torch.tensor([-7.0, 8.0], dtype=F64), REGION, CONFIG),
+        report(
+            posterior(prior, beliefs),
+            beliefs.noise,
+            OLD,
+            torch.tensor([-7.0, 8.0], dtype=F64),
+            REGION,
+            CONFIG,
+        ),
     )
 
 

@@ -9,6 +9,7 @@ from oracles.line_array import simulate
 from torch import Tensor
 
 import torchdt.filter.bp.evidence
+import torchdt.filter.intensity.undetected
 import torchdt.filter.placement
 import torchdt.filter.proposal.adapted
 import torchdt.filter.proposal.moved
@@ -102,6 +103,7 @@ def frozen_proposals() -> Iterator[list[Tape]]:
             (torchdt.filter.proposal.moved, "draw_adapted"),
             (torchdt.filter.proposal.adapted, "adapt"),
             (torchdt.filter.placement, "search"),
+            (torchdt.filter.intensity.undetected, "left_by"),
             (torchdt.filter.bp.evidence, "draw_configurations"),
         ):
             tapes.append(Tape(getattr(module, name)))

@@ -18,6 +18,7 @@ from torchdt.core.ranges import (
 from torchdt.core.resampling import Resampler, Systematic
 from torchdt.filter.bp.evidence import Evidence, SampledEvidence
 from torchdt.filter.bp.schedule import Schedule, Sequential
+from torchdt.filter.intensity.settings import Intensity, UndetectedModel
 from torchdt.filter.proposal.adapted import Adapted
 from torchdt.filter.proposal.base import Proposal
 from torchdt.model.motion.driving import Gradient, Score
@@ -26,13 +27,14 @@ PARTS: Mapping[str, Any] = {
     "resampler": Resampler,
     "schedule": Schedule,
     "proposal": Proposal,
+    "undetected": UndetectedModel,
     "evidence": Evidence,
     "gradient": Gradient,
 }
 """Settings that are objects, and the protocol of each."""
 
 if not TYPE_CHECKING:  # configurations have no protocols
-    Evidence = Gradient = Proposal = Resampler = Schedule = Any
+    Evidence = Gradient = Proposal = Resampler = Schedule = UndetectedModel = Any
 
 
 @dataclass
@@ -85,6 +87,7 @@ class TrackerConfig(ObjectConfig):
         proposal: where particles are: drawn anew around the data, or as predicted.
         mismatch_share: share of each tone's energy that responses do not cover, where the field knows how its
             response scatters; None leaves it to the calibration.
+        undetected: intensity of undetected objects, from which births rest on many steps; or nothing.
         evidence: how log p(z_k | z_1..k-1) is estimated.
         gradient: of the likelihood through motion: particles stay and weights move, or particles move.
         power_max: upper limit of the uniform power prior in squared data units; None takes it from the data.
@@ -98,6 +101,7 @@ class TrackerConfig(ObjectConfig):
     schedule: Schedule = field(default_factory=Sequential)
     proposal: Proposal = field(default_factory=Adapted)
     mismatch_share: list[InnerProbability] | None = None
+    undetected: UndetectedModel = field(default_factory=Intensity)
     evidence: Evidence = field(default_factory=SampledEvidence)
     gradient: Gradient = field(default_factory=Score)
     power_max: Power | None = None

@@ -5,7 +5,7 @@ from torch import Tensor
 
 from torchdt.core.weights import effective_sample_size, standard_deviation, weighted_mean
 from torchdt.filter.bp.schedule import Beliefs
-from torchdt.filter.config import ObjectConfig, TrackerConfig
+from torchdt.filter.config import ObjectConfig
 from torchdt.filter.history import StepEstimate
 from torchdt.filter.slots import fit_slots
 from torchdt.filter.state import Objects, TrackerState
@@ -20,33 +20,13 @@ def idle_particles(region: Region, num_particles: int) -> Tensor:
     return region.complete(position)
 
 
-def extract_estimates(
-    prior: Objects,
-    beliefs: Beliefs,
-    old: TrackerState,
-    log_evidence: Tensor,
-    region: Region,
-    config: TrackerConfig,
-) -> tuple[Objects, Tensor, StepEstimate]:
-    """Drop improbable objects, name those declared for the first time, and report.
-
-    Args:
-        prior: known and new objects with the particles of this step, batch `(*batch, N')`.
-        beliefs: posterior beliefs about them.
-        old: state before the step, of N slots.
-        log_evidence: `(*batch,)`.
-        region: of interest.
-        config: thresholds.
-
-    Returns:
-        Posterior objects of batch `(*batch, N)`, strongest first; the next free label; the estimates.
-    """
-    objects = prior._replace(
+def posterior(prior: Objects, beliefs: Beliefs) -> Objects:
+    """Objects with the weights and odds that a step has given them, batch `(*batch, N)`."""
+    return prior._replace(
         log_weight=beliefs.objects.log_weight,
         log_power_weight=beliefs.objects.log_power_weight,
         log_odds=beliefs.objects.log_odds,
     )
-    return report(objects, beliefs.noise, old, log_evidence, region, config)
 
 
 def report(
@@ -68,7 +48,7 @@ def report(
         config: thresholds.
 
     Returns:
-        As `extract_estimates`.
+        Posterior objects of batch `(*batch, N)`, strongest first; the next free label; the estimates.
     """
     objects = objects._replace(
         state=region.gather(objects.state, objects.log_weight), log_odds=prune(objects.log_odds, config)

@@ -2,6 +2,7 @@
 
 import copy
 import math
+from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import torch
@@ -16,8 +17,9 @@ from torchdt.field.wrapped import CompletedField
 from torchdt.filter.bp.schedule import Beliefs, update
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.context import StepContext
-from torchdt.filter.declare import empty_slots, extract_estimates, idle_particles
+from torchdt.filter.declare import empty_slots, idle_particles, posterior, report
 from torchdt.filter.history import StepEstimate
+from torchdt.filter.intensity.undetected import Undetected
 from torchdt.filter.placement import Placer
 from torchdt.filter.predict import Predicted, predict
 from torchdt.filter.proposal.moved import Draws
@@ -113,10 +115,11 @@ class DirectTracker(Tracker[TrackerState]):
     def _with_field(self, field: BaseField, region: Region, model: Model) -> Self:
         other = self.with_model(model)
         if field is self.field:
-            other.dictionary = self.dictionary
+            other.dictionary, other.undetected = self.dictionary, self.undetected
         else:
             other.field, other.region = field, region
-            other.__dict__.pop("dictionary", None)
+            for name in ("dictionary", "undetected"):
+                other.__dict__.pop(name, None)
         return other
 
     def with_model(self, model: Model) -> Self:
@@ -149,7 +152,14 @@ class DirectTracker(Tracker[TrackerState]):
             label=torch.zeros(slots, dtype=torch.int64, device=self._idle.device),
         )
         noise = self.model.noise.initial(priors.noise_max, cfg.noise_points)
-        return TrackerState(objects, noise, torch.ones(batch, dtype=torch.int64, device=self._idle.device))
+        first = torch.ones(batch, dtype=torch.int64, device=self._idle.device)
+        unseen = None if self.undetected is None else self.undetected.init(batch)
+        return TrackerState(objects, noise, first, unseen)
+
+    @cached_property
+    def undetected(self) -> Undetected | None:
+        """What carries the intensity of undetected objects, if anything does."""
+        return self.config.undetected.on(self.dictionary, self.region, self.model, self.step_s)
 
     def step(
         self, state: TrackerState, measurement: Measurement, priors: Priors, streams: RandomStreams
@@ -193,15 +203,23 @@ class DirectTracker(Tracker[TrackerState]):
         )
         context = context._replace(measurement=measurement)
         log_evidence = self.evidence(context, predicted, current, beliefs, draws.evidence)
+        objects, undetected = posterior(current.objects, beliefs), state.undetected
+        if self.undetected is not None and undetected is not None and current.residual is not None:
+            known = predicted.objects.log_odds.shape[-1]
+            draws_of_one = draws.newborn.final[..., -1, :, :]
+            undetected, objects, log_unseen = self.undetected.step(
+                undetected, context, objects, known, beliefs, current.residual, priors, cfg, draws_of_one
+            )
+            if cfg.evidence.knows_births:
+                observed = (measurement.num_snapshots > 0).any(-1)
+                log_evidence = log_evidence + torch.where(observed, log_unseen, 0.0)
         if count is not None:
             constant = log_normaliser(received, append_dims(count, 1)).to(log_evidence)
             log_evidence = log_evidence + constant.sum(-1)
-        objects, next_label, estimate = extract_estimates(
-            current.objects, beliefs, state, log_evidence, self.region, cfg
-        )
+        objects, next_label, estimate = report(objects, beliefs.noise, state, log_evidence, self.region, cfg)
         objects = cfg.proposal.resample(objects, cfg.resampler, streams)
         noise = model.noise.predict(state.noise._replace(log_weight=beliefs.noise.log_weight))
-        return TrackerState(empty_slots(objects, self._idle), noise, next_label), estimate
+        return TrackerState(empty_slots(objects, self._idle), noise, next_label, undetected), estimate
 
     def draw(self, streams: RandomStreams) -> StepDraws:
         """Random numbers of a step, always as many, whatever the other sequences of the batch need."""
@@ -226,5 +244,9 @@ class DirectTracker(Tracker[TrackerState]):
         self, context: StepContext, predicted: Predicted, current: Placed, beliefs: Beliefs, draws: Any
     ) -> Tensor:
         """Evidence of the step, `(*batch,)`; zero where there are no data. The likelihood is not tempered."""
-        log_evidence = self.config.evidence.estimate(context, predicted, current, beliefs, draws)
+        estimator = self.config.evidence
+        log_evidence = estimator.estimate(context, predicted, current, beliefs, draws)
+        if self.undetected is None and estimator.knows_births:
+            new_odds = current.objects.log_odds[..., predicted.objects.log_odds.shape[-1] :]
+            log_evidence = log_evidence + self.model.birth.log_none(self.region, new_odds)
         return torch.where((context.measurement.num_snapshots > 0).any(-1), log_evidence, 0.0)

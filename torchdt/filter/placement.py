@@ -50,7 +50,7 @@ class Placer:
         log_odds = partial(model.birth.log_odds, region)
         with torch.no_grad():
             top = log_odds(self.dictionary.points.expand(*noise.mean.shape[:-1], -1, -1)).amax(-1)
-            picks, explained = search(
+            picks, explained, residual = search(
                 field,
                 region,
                 self.dictionary,
@@ -67,11 +67,11 @@ class Placer:
         explained = tree_map(Tensor.detach, explained)
         current = first._replace(beliefs=first.beliefs._replace(noise=explained))
         if picks is None:
-            return current
+            return current._replace(residual=residual)
         if cfg.proposal.moves:
             # Energy of objects not yet known has pulled at the known ones: place them again without it.
             current = self._place_again(current, predicted, explained, known, picks)
-        return self._add_newborn(current, picks, priors, newborn)
+        return self._add_newborn(current, picks, priors, newborn)._replace(residual=residual)
 
     def _place_again(
         self, current: Placed, predicted: Predicted, noise: Noise, draws: Draws, picks: Picks

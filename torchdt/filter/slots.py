@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchdt.core.trees import tree_map
 from torchdt.filter.bp.schedule import Beliefs, strongest_first
+from torchdt.filter.proposal.cells import Residual
 from torchdt.filter.state import Objects
 
 
@@ -18,11 +19,13 @@ class Placed(NamedTuple):
         objects: of batch `(*batch, N)`, predicted weights.
         response: `(*batch, N, I, P, M)` complex.
         beliefs: current beliefs.
+        residual: what the known objects leave unexplained, once it is looked for.
     """
 
     objects: Objects
     response: Tensor
     beliefs: Beliefs
+    residual: Residual | None = None
 
 
 def strongest_slots(objects: Objects) -> Tensor:

@@ -46,8 +46,11 @@ class TrackerState(NamedTuple):
         objects: beliefs after the last step.
         noise: predicted for the next step by `DirectTracker`, as after the last one by `PaperTracker`.
         next_label: `(*batch,)` int64, next free label.
+        undetected: `(*batch, V, L, C)` intensity of objects of which no potential object is made yet, see
+            `torchdt.filter.intensity.intensity`; None without one.
     """
 
     objects: Objects
     noise: Noise
     next_label: Tensor
+    undetected: Tensor | None = None

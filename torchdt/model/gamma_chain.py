@@ -140,6 +140,24 @@ def uniform_prior_around(
     return points, (edge.diff(dim=-1) / maximum[..., None]).log()
 
 
+def log_walk(level: Tensor, shape: Tensor) -> Tensor:
+    """One Gamma transition between few levels, `(*batch, L, L)`: the logarithm takes steps to its neighbours.
+
+    Its variance is that of `log g`, `polygamma(1, c)`, as far as neighbours go; at the ends it stays.
+
+    Args:
+        level: `(L,)` evenly spaced in the logarithm.
+        shape: c, `(*batch,)`.
+    """
+    if len(level) == 1:
+        return torch.ones_like(shape)[..., None, None]
+    width = (level[-1] / level[0]).log() / (len(level) - 1)
+    away = (torch.special.polygamma(1, shape) / width.square() / 2).clamp_max(0.5)[..., None]
+    beside = torch.diag_embed(away.expand(*away.shape[:-1], len(level) - 1), 1)
+    beside = beside + beside.mT
+    return beside + torch.diag_embed(1 - beside.sum(-1))
+
+
 @lru_cache
 def _gauss_hermite(num_points: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     # Arrays, not tensors: those made in inference mode could not be used for a gradient later.

@@ -54,7 +54,7 @@ def find(
     """`search` over a batch `(B,)`."""
     batch = len(seeds)
     streams = RandomStreams.from_seeds(seeds, (batch,), F64)
-    return search(
+    picks, explained, _ = search(
         FIELD,
         region,
         DICTIONARY if region is REGION else build_dictionary(FIELD, region),
@@ -65,6 +65,7 @@ def find(
         torch.tensor(threshold, dtype=F64),
         streams.normal(PICKS, 4, 64, 1),
     )
+    return picks, explained
 
 
 def stack(measurements) -> Measurement:
@@ -189,7 +190,7 @@ def test_nothing_is_born_outside_a_bounded_region(eastward, proposal):
     signal, room = torch.zeros(3, 2, 9, 9, dtype=torch.complex128), torch.full((3,), 1)
     dictionary, threshold = build_dictionary(field, region), torch.tensor(THRESHOLD, dtype=F64)
     rounds = streams.normal(1, 4, 64, 2)
-    picks, noise = search(
+    picks, noise, _ = search(
         field, region, dictionary, data, signal, known_noise(3), room, threshold, rounds, proposal=proposal
     )
     assert picks.active.all()

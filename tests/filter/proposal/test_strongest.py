@@ -5,8 +5,9 @@ import torch
 from oracles.arrays import complex_normal
 
 from torchdt.filter.bp.rank_one import Whitener, whiten
+from torchdt.filter.proposal.cells import BULK
 from torchdt.filter.proposal.dictionary import Dictionary, likelihood_surface
-from torchdt.filter.proposal.strongest import BULK, strongest_cell
+from torchdt.filter.proposal.strongest import strongest_cell
 from torchdt.model.measurement import from_snapshots, mask_covariance
 
 TONES, CELLS, SENSORS = 3, 400, 12
@@ -95,7 +96,7 @@ def test_one_dictionary_for_each_sequence(rng):
 def test_the_blocks_do_not_matter(rng, monkeypatch):
     dictionary, whitener = make_dictionary(rng), make_whitener(rng, 2, objects=2, power=1e3)
     whole = anywhere(dictionary, whitener)
-    monkeypatch.setattr("torchdt.filter.proposal.strongest.BLOCK", 5000)
+    monkeypatch.setattr("torchdt.filter.proposal.cells.BLOCK", 5000)
     for found, expected in zip(anywhere(dictionary, whitener), whole, strict=True):
         torch.testing.assert_close(found, expected)
 

@@ -41,9 +41,11 @@ class Evidence(Protocol):
 
     Attributes:
         every_response: whether it asks the field for all particles of the predicted objects, not for some.
+        knows_births: whether new objects are part of it; what is not looked at then adds to it.
     """
 
     every_response: ClassVar[bool]
+    knows_births: ClassVar[bool]
 
     def draw(self, streams: RandomStreams, slots: int, births: int, num_tones: int) -> Any:
         """Random numbers of one step, always as many."""
@@ -74,6 +76,7 @@ class GaussianEvidence:
     """The predicted mixture as one Gaussian: cheap, crude, blind to new objects."""
 
     every_response: ClassVar[bool] = True
+    knows_births: ClassVar[bool] = False
 
     def draw(self, streams: RandomStreams, slots: int, births: int, num_tones: int) -> None:
         """It needs none."""
@@ -100,6 +103,7 @@ class SampledEvidence(Checked):
 
     KEY: ClassVar[str] = "tracker.evidence"
     every_response: ClassVar[bool] = False
+    knows_births: ClassVar[bool] = True
 
     samples: Count = 64
 
@@ -117,7 +121,7 @@ class SampledEvidence(Checked):
         beliefs: Beliefs,
         draws: tuple[UniformDraws, int],
     ) -> Tensor:
-        """See `sampled_evidence`; nothing is born in the cells in which no new object is considered."""
+        """See `sampled_evidence`."""
         (uniform, slots), region, model = draws, context.region, context.model
         known = predicted.objects.log_odds.shape[-1]
         new_odds = current.objects.log_odds[..., known:]
@@ -128,8 +132,7 @@ class SampledEvidence(Checked):
         chosen = uniform.pick(known, slots, new_odds.shape[-1])
         drawn = draw_configurations(*components, beliefs.noise, chosen)
         seen = predicted.beliefs.noise, context.measurement
-        log_evidence = sampled_evidence(*at, *seen, drawn, beliefs.diffuse, model.noise)
-        return log_evidence + model.birth.log_none(region, new_odds)
+        return sampled_evidence(*at, *seen, drawn, beliefs.diffuse, model.noise)
 
 
 def gaussian_evidence(beliefs: Beliefs, measurement: Measurement, noise_model: NoiseModel = WHITE) -> Tensor:

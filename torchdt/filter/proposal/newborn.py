@@ -22,6 +22,7 @@ from torchdt.filter.bp.moments import signal_covariance, signal_without_each
 from torchdt.filter.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics, whiten
 from torchdt.filter.proposal.adapted import Adapted
 from torchdt.filter.proposal.base import Proposal
+from torchdt.filter.proposal.cells import Residual, cell_statistics
 from torchdt.filter.proposal.dictionary import Dictionary
 from torchdt.filter.proposal.moved import Draws, respond
 from torchdt.filter.proposal.neighbourhood import drop_foreign, log_cells
@@ -84,7 +85,7 @@ def search(
     proposal: Proposal = ADAPTED,
     favour: Favour = no_favour,
     noise_model: NoiseModel = WHITE,
-) -> tuple[Picks | None, Noise]:
+) -> tuple[Picks | None, Noise, Residual]:
     """Pick cells and refine them.
 
     Args:
@@ -99,10 +100,12 @@ def search(
         noise_model: what the noise makes of the covariance of the data.
 
     Returns:
-        The picks, as many as any batch element needs (None if no element needs any), and the noise belief
-        with the known objects and the picks explained.
+        The picks, as many as any batch element needs (None if no element needs any); the noise belief with
+        the known objects and the picks explained; what the known objects leave.
     """
     known, belief = signal, noise_model.update(noise, measurement, signal)
+    whitener = whiten(measurement, noise_model.covariance(signal, belief.mean, measurement.present))
+    residual = Residual(cell_statistics(dictionary, whitener), belief.mean)
     # While the noise level is unknown, sources that are many and equal each pass for noise: look further.
     unsettled = _log_variance(noise).amax(-1) > UNSETTLED
     alive = torch.ones_like(free, dtype=torch.bool)
@@ -112,8 +115,10 @@ def search(
     scattered: list[Tensor] = []
     gains = [_log_likelihood(measurement, signal, belief, noise_model)]
     for pick in range(rounds.shape[-4]):
-        whitener = whiten(measurement, noise_model.covariance(signal, belief.mean, measurement.present))
-        score, cell = strongest_cell(dictionary, whitener, alive, favour_of_cells)
+        if pick:
+            whitener = whiten(measurement, noise_model.covariance(signal, belief.mean, measurement.present))
+        cells = None if pick else residual.cells
+        score, cell = strongest_cell(dictionary, whitener, alive, favour_of_cells, cells)
         alive = alive & ((score > threshold) | unsettled) & (pick < free) & ~score.isneginf()
         if not bool(alive.any()):
             break
@@ -135,7 +140,7 @@ def search(
         gains.append(_log_likelihood(measurement, signal, belief, noise_model) + favoured)
         picked.append((position, power, scale, moment, alive))
     if not picked:
-        return None, belief
+        return None, belief, residual
     dim = free.ndim
     position, power, scale, moment, alive = (torch.stack(parts, dim) for parts in zip(*picked, strict=True))
     # Together the picks up to the last one kept are worth the threshold each.
@@ -148,7 +153,7 @@ def search(
         belief = noise_model.update(noise, measurement, known + signal_covariance(power, moment))
     diffuse = torch.stack(scattered, dim) if scattered else None
     picks = Picks(position, power, scale, moment, diffuse, active)
-    return (picks if bool(active.any()) else None), belief
+    return (picks if bool(active.any()) else None), belief, residual
 
 
 def _log_variance(noise: Noise) -> Tensor:

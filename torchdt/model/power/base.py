@@ -36,6 +36,14 @@ class PowerModel(Protocol):
         """
         ...
 
+    def level_transition(self, level: Tensor) -> Tensor:
+        """Probability of the levels of one step after those of the last, `(*batch, L, L')`.
+
+        Args:
+            level: `(L,)` powers in relation to one another, evenly spaced in the logarithm.
+        """
+        ...
+
     def on(self, region: Region) -> Self:
         """The model with numbers in the type and on the device of a region."""
         ...

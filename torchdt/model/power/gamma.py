@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchdt.model.gamma_chain import SHAPE, predict_chain, uniform_prior, uniform_prior_around
+from torchdt.model.gamma_chain import SHAPE, log_walk, predict_chain, uniform_prior, uniform_prior_around
 from torchdt.model.part import Number, Part, append_dims, number
 
 
@@ -34,3 +34,7 @@ class GammaPower(Part):
         return predict_chain(
             power, log_weight, append_dims(self.power_shape, power.ndim - 1 - self.power_shape.ndim)
         )
+
+    def level_transition(self, level: Tensor) -> Tensor:
+        """A random walk of the logarithm with the variance of the chain's, see `log_walk`."""
+        return log_walk(level, self.power_shape)

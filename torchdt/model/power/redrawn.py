@@ -43,6 +43,10 @@ class RedrawnPower(Part):
         """The density again."""
         return power, _bins(power.shape[-1], power)[1].expand_as(power)
 
+    def level_transition(self, level: Tensor) -> Tensor:
+        """Any level as likely as another, whatever it was."""
+        return torch.full((len(level), len(level)), 1 / len(level), dtype=level.dtype, device=level.device)
+
 
 def _bins(num_points: int, like: Tensor) -> tuple[Tensor, Tensor]:
     """Means and log-probabilities `(G,)` of bins of the exponential density of mean one."""

@@ -1,0 +1,156 @@
+"""What a step does with the intensity of undetected objects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from torchdt.core.trees import select
+from torchdt.core.weights import weighted_mean
+from torchdt.filter.bp.moments import signal_covariance
+from torchdt.filter.bp.rank_one import whiten
+from torchdt.filter.bp.schedule import Beliefs
+from torchdt.filter.context import StepContext
+from torchdt.filter.intensity.grid import Hypotheses, lay_grid, transition
+from torchdt.filter.intensity.intensity import predict_intensity, tone_powers, update_intensity
+from torchdt.filter.intensity.levels import level_log_likelihood
+from torchdt.filter.intensity.promote import candidate, give_back, neighbourhood, promote
+from torchdt.filter.proposal.cells import Residual, cell_statistics
+from torchdt.filter.proposal.dictionary import Dictionary
+from torchdt.filter.slots import join
+from torchdt.filter.state import Objects
+from torchdt.model.model import Model
+from torchdt.model.part import append_dims
+from torchdt.model.prior import Priors
+from torchdt.model.region import Region
+
+if TYPE_CHECKING:
+    from torchdt.filter.config import TrackerConfig
+    from torchdt.filter.intensity.settings import Intensity
+
+
+@dataclass(frozen=True)
+class Undetected:
+    """The objects of which no potential object is made yet.
+
+    Attributes:
+        settings: of the intensity.
+        grid: its hypotheses.
+        moment: mean of `a a^H` over the cells, `(I, M, M)`, or one for each sequence.
+        dictionary: responses on the grid of cells.
+        region: of interest.
+    """
+
+    settings: Intensity
+    grid: Hypotheses
+    moment: Tensor
+    dictionary: Dictionary
+    region: Region
+    step_s: float
+
+    @classmethod
+    def of(
+        cls, settings: Intensity, dictionary: Dictionary, region: Region, model: Model, step_s: float
+    ) -> Undetected:
+        """Lay the grid of a region."""
+        level = settings.level(region.low)
+        grid = lay_grid(region, model.motion, step_s, level, settings.hypotheses)
+        response = dictionary.response
+        moment = response.mT @ response.conj() / max(1, region.num_cells)
+        return cls(settings, grid, moment, dictionary, region, step_s)
+
+    def init(self, batch: torch.Size) -> Tensor:
+        """Nothing undetected before the first step, `(*batch, V, L, C)`."""
+        size = len(self.grid.node), len(self.grid.level), len(self.dictionary.points)
+        return self.moment.real.new_zeros((*batch, *size))
+
+    def step(
+        self,
+        intensity: Tensor,
+        context: StepContext,
+        objects: Objects,
+        known: int,
+        beliefs: Beliefs,
+        residual: Residual,
+        priors: Priors,
+        config: TrackerConfig,
+        draws: Tensor,
+    ) -> tuple[Tensor, Objects, Tensor]:
+        """The intensity and the potential objects after the step, and the evidence of what is undetected.
+
+        Args:
+            intensity: after the last step, `(*batch, V, L, C)`.
+            context: field, region, model and data.
+            objects: after the step, batch `(*batch, N)`.
+            known: number of slots that were known before the step.
+            beliefs: about the objects and the noise.
+            residual: what the known objects leave unexplained; where new ones showed themselves, it is taken
+                again.
+            priors: limits of the priors.
+            config: of the tracker.
+            draws: `(*batch, P, D)` standard normal.
+        """
+        model, region = context.model, context.region
+        kept = objects.existence >= config.prune
+        if bool(kept[..., known:].any()):
+            again = left_by(context, beliefs, self.dictionary)
+            residual = select(kept[..., known:].any(-1), again, residual)
+        power, share = tone_powers(context, residual.noise, self.moment, self.settings)
+        log_ratio = self.log_ratio(context, residual, power, share)
+        predicted = self.predict(intensity, model)
+        most = self.settings.step_nats
+        after, log_evidence = update_intensity(predicted, log_ratio, model.likelihood_power, most)
+        for slot in range(known, objects.log_odds.shape[-1]):
+            if bool(kept[..., slot].any()):
+                state, log_weight = objects.state[..., slot, :, :], objects.log_weight[..., slot, :]
+                mean = weighted_mean(state[..., : region.num_coordinates].mT, log_weight[..., None, :])
+                near = neighbourhood(self.dictionary, region.cell_of(mean), self.settings)
+                after = without(after, near & kept[..., slot, None])
+        dropped = ~kept & objects.log_odds.isfinite()
+        dropped[..., known:] = False
+        after = give_back(self, after, objects, dropped, power)
+        least = self.settings.promote / (1 - self.settings.promote)
+        room = kept.sum(-1) < config.slots
+        # What all cells together are not worth, no neighbourhood is.
+        if bool((room & (after.sum((-3, -2, -1)) > least)).any()):
+            near, odds = candidate(self, after)
+            near = near & (room & (odds > least))[..., None]
+            prior = priors.power_max, config.power_points
+            one = promote(self, after, near, power, model.power, *prior, draws)
+            objects = Objects(*join(objects, one, objects.log_odds.ndim - 1))
+            after = without(after, near)
+        return after, objects, log_evidence
+
+    def predict(self, intensity: Tensor, model: Model) -> Tensor:
+        """The intensity before the data of a step."""
+        moves = transition(self.grid, self.region, model, self.step_s, intensity.shape[:-3])
+        birth = model.birth.log_odds(
+            self.region, self.dictionary.points.expand(*intensity.shape[:-3], -1, -1)
+        )
+        return predict_intensity(intensity, moves, self.grid, self.region, model.survival, birth)
+
+    def log_ratio(self, context: StepContext, residual: Residual, power: Tensor, share: Tensor) -> Tensor:
+        """Log-likelihood ratio of an object in each cell at each level, `(*batch, L, C)`."""
+        # The residual is that of tempered data, which the evidence is not.
+        s, q = (
+            residual.cells.s.clamp_min(0),
+            residual.cells.q / append_dims(context.model.likelihood_power, 2),
+        )
+        return level_log_likelihood(s, q, context.measurement.num_snapshots, power, share)
+
+
+def left_by(context: StepContext, beliefs: Beliefs, dictionary: Dictionary) -> Residual:
+    """What objects and noise leave unexplained of tempered data."""
+    measurement = context.measurement.tempered(append_dims(context.model.likelihood_power, 1))
+    signal = signal_covariance(beliefs.strength, beliefs.moment)
+    noise = beliefs.noise.mean.detach()
+    covariance = context.model.noise.covariance(signal, noise, measurement.present)
+    return Residual(cell_statistics(dictionary, whiten(measurement, covariance)), noise)
+
+
+def without(intensity: Tensor, cells: Tensor) -> Tensor:
+    """An intensity `(*batch, V, L, C)` with nothing left in cells `(*batch, C)`."""
+    return torch.where(cells[..., None, None, :], 0.0, intensity)
