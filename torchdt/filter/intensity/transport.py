@@ -29,17 +29,23 @@ def kernel(shift: Tensor, variance: Tensor) -> Kernel:
         shift: `(*batch, V)` mean in cells.
         variance: `(*batch, V)` in squared cells.
     """
-    variance = variance.expand_as(shift)
-    offset = shift.detach().reshape(-1, shift.shape[-1]).mean(0).round()
+    variance, whole = variance.expand_as(shift), shift.detach().round()
     # As often as each row needs, whatever the others do.
     times = (2 * variance.detach()).ceil().clamp_min(1)
-    mean = (shift - offset) / times
+    mean = (shift - whole) / times
     square = torch.maximum(variance / times, mean.abs() * (1 - mean.abs())) + mean.square()
     once = torch.stack([(square - mean) / 2, 1 - square, (square + mean) / 2], -1)
     weight = once
     for done in range(1, int(times.max())):
         wide = [pad(weight * once[..., k : k + 1], (k, 2 - k)) for k in range(3)]
         weight = torch.where((done < times)[..., None], wide[0] + wide[1] + wide[2], pad(weight, (1, 1)))
+    offset = whole.reshape(-1, whole.shape[-1]).mean(0).round()
+    ahead = (whole - offset).long()
+    # Sequences whose objects move further than those of others.
+    if reach := int(ahead.abs().max()):
+        weight = pad(weight, (2 * reach, 2 * reach))
+        index = torch.arange(reach, weight.shape[-1] - reach, device=ahead.device) - ahead[..., None]
+        weight = weight.gather(-1, index)
     return Kernel([int(n) for n in offset.tolist()], weight)
 
 
