@@ -68,6 +68,8 @@ def lay_grid(region: Region, motion: Motion, step_s: float, level: Tensor, most:
     """
     d, like = region.num_coordinates, region.low
     number = motion.num_extra(d)
+    # The grid is one for all sequences; their numbers may differ.
+    motion = motion.select([0])
     if number == 0:
         none = like.new_zeros(1, 0)
         return Hypotheses((), none, none[0], like.new_ones(1), level, region.is_birth_cell)
@@ -99,8 +101,7 @@ def _drift(region: Region, motion: Motion, step_s: float, low: Tensor, high: Ten
         ends[end].diagonal().copy_(value)
     state = torch.cat([middle.expand(2, number, d), ends], -1)
     still = torch.zeros(2, number, d + number, d + number, dtype=low.dtype, device=low.device)
-    # The grid is one for all sequences; their numbers may differ.
-    moved, _ = motion.select([0]).moments(state, still, step_s)
+    moved, _ = motion.moments(state, still, step_s)
     return [float(x) for x in ((moved[1] - moved[0])[:, :d].abs() / region.cell).amax(-1)]
 
 
