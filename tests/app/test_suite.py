@@ -51,11 +51,12 @@ def truth_of(scenario):
     return torch.stack(tracks, 1) if tracks else torch.empty(scenario.num_steps, 0, 2)
 
 
-def test_empty_takes_region_and_time_axis_from_the_paper_scenario(settings):
+def test_empty_is_the_paper_scenario_without_its_sources(settings):
     empty = settings("scenario=empty", small=False).scenario
     paper = settings("scenario=swellex96", small=False).scenario
     different = {key for key, value in vars(empty).items() if value != getattr(paper, key)}
-    assert different == {"name", "paths", "sources"}
+    assert different == {"name", "sources"}
+    assert not empty.sources
 
 
 def test_close_sources_stay_close(settings):

@@ -14,12 +14,15 @@ from torchdt.core.linalg import NumericalError
 from torchdt.core.random import RandomStreams
 from torchdt.data.recording import Recording, validate
 from torchdt.field.stacked import StackedField
+from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
+from torchdt.filter.intensity.settings import Ignored, Intensity
 from torchdt.filter.paper.config import PaperConfig
 from torchdt.filter.paper.tracker import PaperTracker
 from torchdt.model.region import Coordinate, Region
-from torchdt.run.chunks import bytes_per_sequence, plan, run_chunks
+from torchdt.run.chunks import INTENSITIES, SURFACES, bytes_per_sequence, plan, run_chunks
 
+WITHOUT = TrackerConfig(undetected=Ignored())
 FOUR = [slice(2 * i, 2 * i + 2) for i in range(4)]
 
 
@@ -71,6 +74,28 @@ def test_responses_are_counted():
     extra = bytes_per_sequence(more, recording()) - bytes_per_sequence(one, recording())
     # 8 objects, 2 tones: three complex responses of 8 sensors, 10 points of the power.
     assert extra == 100 * 8 * 2 * (3 * 16 + 10) * 8
+
+
+def test_the_intensity_of_undetected_objects_is_counted():
+    ignored = bytes_per_sequence(make_tracker(undetected=Ignored()), recording())
+    # 70 cells of five levels: as many nodes as keep together, one node, none at all.
+    for most, least in (10**6, 2), (350, 1), (349, 0):
+        tracker = make_tracker(undetected=Intensity(hypotheses=most))
+        carried = 0 if tracker.undetected is None else tracker.undetected.init(torch.Size()).numel()
+        assert bytes_per_sequence(tracker, recording()) - ignored == INTENSITIES * carried * 8
+        assert carried >= 350 * least
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_surfaces_of_a_search_are_counted(dtype):
+    coarse, fine = (
+        DirectTracker(
+            make_field(dtype), Region([Coordinate(**BEARING | {"cell": cell})], dtype), 1.0, WITHOUT
+        )
+        for cell in (2.0, 1.0)
+    )
+    extra = bytes_per_sequence(fine, recording()) - bytes_per_sequence(coarse, recording())
+    assert extra == 70 * 2 * SURFACES * dtype.itemsize  # cells, tones
 
 
 def test_data_and_estimates_are_counted():

@@ -12,7 +12,7 @@ import torch
 from torchdt.core.errors import require
 from torchdt.core.linalg import NumericalError
 from torchdt.data.recording import Recording
-from torchdt.filter.config import TrackerConfig
+from torchdt.filter.direct import DirectTracker
 from torchdt.filter.paper.config import PaperConfig
 from torchdt.filter.tracker import Tracker
 
@@ -20,6 +20,12 @@ Result = TypeVar("Result")
 
 COPIES = 3
 """Responses of an object at the peak of a step, itself among them; measured with the default array."""
+
+INTENSITIES = 7
+"""Intensities of undetected objects at the peak of a step, that before it among them; measured."""
+
+SURFACES = 12
+"""Numbers for each tone and cell at the peak of a search for new objects; measured."""
 
 MOST_ON_CPU = 8
 """Sequences in a chunk on a CPU: of more, the tensors leave its cache, and each sequence takes longer."""
@@ -32,6 +38,8 @@ def bytes_per_sequence(tracker: Tracker[Any], recording: Recording) -> int:
 
     - direct tracking: for each object (slots and births alike, as if all were taken) the responses of its
       particles, `P I M` complex, `COPIES` times, and the likelihood over its powers, `P I G`;
+      `INTENSITIES` times what is believed of undetected objects, `V L C`; `SURFACES` times what is known of
+      the cells, `I C`;
     - the paper's graph: for each object the responses of its particles once for every snapshot (or sensor,
       where these are fewer) and tone, `P M` complex, `COPIES` times, and for one object its likelihood there
       over all powers, `P G`, `COPIES` times;
@@ -45,9 +53,12 @@ def bytes_per_sequence(tracker: Tracker[Any], recording: Recording) -> int:
     config, region, K = tracker.config, tracker.region, recording.num_steps
     num_tones, num_sensors = recording.num_tones, recording.num_sensors
     dictionary = num_tones * region.num_cells * 2 * num_sensors
-    if isinstance(config, TrackerConfig):
-        of_particle = num_tones * (COPIES * 2 * num_sensors + config.power_points)
-        work = (config.slots + config.births) * config.particles * of_particle
+    if isinstance(tracker, DirectTracker):
+        direct = tracker.config
+        of_particle = num_tones * (COPIES * 2 * num_sensors + direct.power_points)
+        work = (direct.slots + direct.births) * direct.particles * of_particle
+        hypotheses = direct.undetected.num_hypotheses(region, tracker.model, recording.step_s)
+        work += INTENSITIES * hypotheses + SURFACES * num_tones * region.num_cells
     elif isinstance(config, PaperConfig):
         factors = num_tones * min(recording.data.shape[-2], num_sensors)
         of_particle = (config.slots + config.births) * 2 * num_sensors + config.power_particles

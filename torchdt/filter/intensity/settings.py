@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchdt.core.ranges import Checked, Count, InnerProbability, Nats, Positive, Range
+from torchdt.filter.intensity.grid import lay_grid
 from torchdt.filter.intensity.undetected import Undetected
 from torchdt.filter.proposal.dictionary import Dictionary
 from torchdt.model.model import Model
@@ -29,6 +30,10 @@ class UndetectedModel(Protocol):
         """What carries that belief in a region; None for nothing."""
         ...
 
+    def num_hypotheses(self, region: Region, model: Model, step_s: float) -> int:
+        """Numbers that it carries for each sequence there."""
+        ...
+
 
 @dataclass(frozen=True)
 class Ignored(Checked):
@@ -39,6 +44,10 @@ class Ignored(Checked):
     def on(self, dictionary: Dictionary, region: Region, model: Model, step_s: float) -> Undetected | None:
         """See `UndetectedModel.on`."""
         return None
+
+    def num_hypotheses(self, region: Region, model: Model, step_s: float) -> int:
+        """None."""
+        return 0
 
 
 @dataclass(frozen=True)
@@ -91,8 +100,7 @@ class Intensity(Checked):
 
     def on(self, dictionary: Dictionary, region: Region, model: Model, step_s: float) -> Undetected | None:
         """See `UndetectedModel.on`; None, with a warning, where the region is too large."""
-        least = math.prod(region.grid_shape) * self.levels
-        if least > self.hypotheses:
+        if not self._fits(region):
             log.warning(
                 "the region's %d cells at %d levels are more than tracker.undetected.hypotheses=%d: "
                 "sources that are too weak to show themselves in one step will not be found",
@@ -102,3 +110,13 @@ class Intensity(Checked):
             )
             return None
         return Undetected.of(self, dictionary, region, model, step_s)
+
+    def num_hypotheses(self, region: Region, model: Model, step_s: float) -> int:
+        """See `UndetectedModel.num_hypotheses`; none where the region is too large."""
+        if not self._fits(region):
+            return 0
+        grid = lay_grid(region, model.motion, step_s, self.level(region.low), self.hypotheses)
+        return len(grid.node) * self.levels * region.num_cells
+
+    def _fits(self, region: Region) -> bool:
+        return math.prod(region.grid_shape) * self.levels <= self.hypotheses
