@@ -14,6 +14,8 @@ from torchdt.core.resampling import Systematic
 from torchdt.field.plane_wave import LineArrayField
 from torchdt.filter.bp.evidence import GaussianEvidence, SampledEvidence
 from torchdt.filter.direct import DirectTracker
+from torchdt.filter.intensity import undetected
+from torchdt.filter.intensity.undetected import log_ratio
 from torchdt.filter.proposal.adapted import Adapted
 from torchdt.filter.proposal.as_predicted import AsPredicted
 from torchdt.model.measurement import Measurement, from_snapshots
@@ -91,6 +93,21 @@ def test_gradient_in_the_field_equals_finite_differences(measurement, proposal, 
         slope = central_difference(replayed, stretch.detach(), 1e-6)
     assert abs(slope) > 1
     assert found.item() == pytest.approx(slope, rel=1e-5)
+
+
+def test_what_an_undetected_object_explains_is_a_constant(measurement, monkeypatch):
+    """Not of the tempering either, from which its statistics are freed again: no search knows a gradient."""
+    seen = []
+
+    def spy(*arguments):
+        seen.append(log_ratio(*arguments))
+        return seen[-1]
+
+    monkeypatch.setattr(undetected, "log_ratio", spy)
+    differentiate(make_tracker(**SMALL), measurement)
+    assert len(seen) == 4
+    assert not any(ratio.requires_grad for ratio in seen)
+    assert any(ratio.abs().max() > 1 for ratio in seen)
 
 
 def test_both_gradients_of_the_motion_agree_in_expectation():

@@ -104,6 +104,7 @@ def frozen_proposals() -> Iterator[list[Tape]]:
             (torchdt.filter.proposal.adapted, "adapt"),
             (torchdt.filter.placement, "search"),
             (torchdt.filter.intensity.undetected, "left_by"),
+            (torchdt.filter.intensity.undetected, "log_ratio"),
             (torchdt.filter.bp.evidence, "draw_configurations"),
         ):
             tapes.append(Tape(getattr(module, name)))

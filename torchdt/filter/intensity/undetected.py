@@ -99,10 +99,10 @@ class Undetected:
             again = left_by(context, beliefs, self.dictionary)
             residual = select(kept[..., known:].any(-1), again, residual)
         power, share = tone_powers(context, residual.noise, self.moment, self.settings)
-        log_ratio = self.log_ratio(context, residual, power, share)
+        ratio = log_ratio(context, residual, power, share)
         predicted = self.predict(intensity, model)
         most = self.settings.step_nats
-        after, log_evidence = update_intensity(predicted, log_ratio, model.likelihood_power, most)
+        after, log_evidence = update_intensity(predicted, ratio, model.likelihood_power, most)
         for slot in range(known, objects.log_odds.shape[-1]):
             if bool(kept[..., slot].any()):
                 state, log_weight = objects.state[..., slot, :, :], objects.log_weight[..., slot, :]
@@ -132,14 +132,21 @@ class Undetected:
         )
         return predict_intensity(intensity, moves, self.grid, self.region, model.survival, birth)
 
-    def log_ratio(self, context: StepContext, residual: Residual, power: Tensor, share: Tensor) -> Tensor:
-        """Log-likelihood ratio of an object in each cell at each level, `(*batch, L, C)`."""
-        # The residual is that of tempered data, which the evidence is not.
-        s, q = (
-            residual.cells.s.clamp_min(0),
-            residual.cells.q / append_dims(context.model.likelihood_power, 2),
-        )
-        return level_log_likelihood(s, q, context.measurement.num_snapshots, power, share)
+
+@torch.no_grad()
+def log_ratio(context: StepContext, residual: Residual, power: Tensor, share: Tensor) -> Tensor:
+    """Log-likelihood ratio of an object in each cell at each level, `(*batch, L, C)`; a constant.
+
+    Args:
+        context: model and data.
+        residual: what known objects and noise leave unexplained of tempered data.
+        power: `(*batch, I, G)` of the tones' levels.
+        share: `(L, 1 + G)` of no power, and of each power.
+    """
+    # The evidence is not tempered.
+    q = residual.cells.q / append_dims(context.model.likelihood_power, 2)
+    s = residual.cells.s.clamp_min(0)
+    return level_log_likelihood(s, q, context.measurement.num_snapshots, power, share)
 
 
 def left_by(context: StepContext, beliefs: Beliefs, dictionary: Dictionary) -> Residual:
