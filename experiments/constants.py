@@ -21,6 +21,10 @@ from torchdt.app.suite import compose_track
 from torchdt.model import prior
 from torchdt.run.track import track
 
+FEW = ((0.05, None), (0.15, -1), (0.7, 0), (0.1, 1))
+MANY = ((0.3, None), (0.25, -1), (0.25, 0), (0.2, 1))
+"""Shares of the tones that are silent, below, at and above their level: fewer and more than are assumed."""
+
 CONSTANTS = {
     "covariance of a fitted proposal over that of its target": ("core.importance.INFLATION", 1.5, 4.0),
     "least probability of existence and absence drawn": ("filter.bp.configurations.DOUBT", 1e-3, 0.05),
@@ -29,6 +33,13 @@ CONSTANTS = {
     "likelihood outside a box of a new object": ("filter.proposal.neighbourhood.OUTER", 1e-3, 0.1),
     "margin of a mixture over one Gaussian": ("core.partition.MARGIN", 0.03, 0.3),
     "cells tested exactly": ("filter.proposal.strongest.PROMISING", 8, 128),
+    "eigenvalues that count as one": ("filter.proposal.cells.BULK", 1.001, 1.05),
+    "drift of a node of the intensity, cells a step": ("filter.intensity.grid.ENOUGH", 0.1, 0.5),
+    "states by which its nodes are laid": ("filter.intensity.grid.SAMPLES", 1024, 16384),
+    "tones around a level of it": ("filter.intensity.settings.AROUND", FEW, MANY),
+    "most that a tone adds to it": ("filter.intensity.levels.CEILING", 15.0, 60.0),
+    "most that a step adds to its evidence": ("filter.intensity.intensity.CEILING", 30.0, 80.0),
+    "largest entry of it": ("filter.intensity.intensity.MOST", 1e2, 1e6),
 }
 """By what they are: where, a smaller and a larger value."""
 
@@ -79,7 +90,8 @@ def main() -> None:
         for words, value, change in changes:
             with change:
                 gospa, likelihood = evaluate(settings)
-            table.add_row(words, str(value), f"{gospa:.3f}", f"{likelihood:.2f}")
+            shown = {FEW: "fewer", MANY: "more"}.get(value, value) if isinstance(value, tuple) else value
+            table.add_row(words, str(shown), f"{gospa:.3f}", f"{likelihood:.2f}")
         plain_console().print(table)
 
 
