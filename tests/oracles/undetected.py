@@ -83,8 +83,8 @@ def run_particles(
     """Evidence of every step over that of noise alone, `(K, W)`, of W settings on the same particles.
 
     A Bernoulli filter (Ristic et al., "A tutorial on Bernoulli filters", IEEE Trans. SP 61, 2013) in one
-    coordinate: an object is born where there is none, uniform in the box and in its rates, moves with constant
-    velocity, and ends with `1 - p_s` or where it leaves the box. The time step is one.
+    coordinate: an object is born where there is none, uniform in the box and in its rates, moves with
+    constant velocity, and ends with `1 - p_s` or where it leaves the box. The time step is one.
 
     Args:
         respond: positions `(X, 1)` to responses `(X, I, M)`.

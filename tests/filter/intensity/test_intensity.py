@@ -4,14 +4,12 @@ import math
 
 import pytest
 import torch
-from oracles.arrays import complex_normal
-from oracles.line_array import make_region, make_tracker, simulate
+from oracles.line_array import make_tracker, simulate
 from oracles.undetected import F64, Levels, log_ratios, run_chain
 
-from torchdt.core.random import RandomStreams
 from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.context import StepContext
-from torchdt.filter.intensity.intensity import CEILING, MOST, tone_powers, update_intensity
+from torchdt.filter.intensity.intensity import tone_powers, update_intensity
 from torchdt.filter.intensity.settings import Intensity
 from torchdt.filter.proposal.cells import Residual, cell_statistics
 from torchdt.model.measurement import from_snapshots

@@ -87,30 +87,36 @@ class Undetected:
             objects: after the step, batch `(*batch, N)`.
             known: number of slots that were known before the step.
             beliefs: about the objects and the noise.
-            residual: what the known objects leave unexplained; where new ones showed themselves, it is taken
-                again.
+            residual: what the known objects leave unexplained; where new ones are better known than the
+                intensity is around them, it is taken again.
             priors: limits of the priors.
             config: of the tracker.
             draws: `(*batch, P, D)` standard normal.
         """
-        model, region = context.model, context.region
-        kept = objects.existence >= config.prune
+        model = context.model
+        kept, predicted = objects.existence >= config.prune, self.predict(intensity, model)
+        most, new = self.settings.step_nats, torch.arange(kept.shape[-1], device=kept.device) >= known
+
+        def updated(left: Residual) -> tuple[Tensor, Tensor, Tensor]:
+            power, share = tone_powers(context, left.noise, self.moment, self.settings)
+            ratio = log_ratio(context, left, power, share)
+            return power, *update_intensity(predicted, ratio, model.likelihood_power, most)
+
+        power, after, log_evidence = updated(residual)
         if bool(kept[..., known:].any()):
-            again = left_by(context, beliefs, self.dictionary)
-            residual = select(kept[..., known:].any(-1), again, residual)
-        power, share = tone_powers(context, residual.noise, self.moment, self.settings)
-        ratio = log_ratio(context, residual, power, share)
-        predicted = self.predict(intensity, model)
-        most = self.settings.step_nats
-        after, log_evidence = update_intensity(predicted, ratio, model.likelihood_power, most)
-        for slot in range(known, objects.log_odds.shape[-1]):
-            if bool(kept[..., slot].any()):
-                state, log_weight = objects.state[..., slot, :, :], objects.log_weight[..., slot, :]
-                mean = weighted_mean(state[..., : region.num_coordinates].mT, log_weight[..., None, :])
-                near = neighbourhood(self.dictionary, region.cell_of(mean), self.settings)
-                after = without(after, near & kept[..., slot, None])
-        dropped = ~kept & objects.log_odds.isfinite()
-        dropped[..., known:] = False
+            near = self.around(objects)
+            # The one that is worth more stands for both: a pick knows one step, the intensity many.
+            odds = (after.sum((-3, -2))[..., None, :] * near).sum(-1)
+            kept = kept & ~(new & (odds > objects.log_odds.exp()))
+            objects = objects._replace(log_odds=objects.log_odds.masked_fill(new & ~kept, -torch.inf))
+            some = (kept & new).any(-1)
+            if bool(some.any()):
+                gone = (new & ~kept)[..., None]
+                others = beliefs._replace(strength=beliefs.strength.masked_fill(gone, 0.0))
+                again = updated(left_by(context, others, self.dictionary))
+                power, after, log_evidence = select(some, again, (power, after, log_evidence))
+                after = without(after, (near & (kept & new)[..., None]).any(-2))
+        dropped = ~kept & ~new & objects.log_odds.isfinite()
         after = give_back(self, after, objects, dropped, power)
         least = self.settings.promote / (1 - self.settings.promote)
         room = kept.sum(-1) < config.slots
@@ -123,6 +129,13 @@ class Undetected:
             objects = Objects(*join(objects, one, objects.log_odds.ndim - 1))
             after = without(after, near)
         return after, objects, log_evidence
+
+    def around(self, objects: Objects) -> Tensor:
+        """Cells in the neighbourhood of each object, `(*batch, N, C)` bool."""
+        mean = weighted_mean(
+            objects.state[..., : self.region.num_coordinates].mT, objects.log_weight[..., None, :]
+        )
+        return neighbourhood(self.dictionary, self.region.cell_of(mean), self.settings)
 
     def predict(self, intensity: Tensor, model: Model) -> Tensor:
         """The intensity before the data of a step."""
