@@ -54,7 +54,7 @@ def select(condition: Tensor, first: Tree, second: Tree) -> Tree:
     """Take each batch element from one of two trees of tensors `(*batch, ...)`."""
 
     def choose(a: Tensor, b: Tensor) -> Tensor:
-        wide = condition.reshape(*condition.shape, *(1 for _ in a.shape[condition.ndim :]))
+        wide = condition.reshape((*condition.shape, *(1 for _ in a.shape[condition.ndim :])))
         return torch.where(wide, a, b)
 
     return tree_map(choose, first, second)
