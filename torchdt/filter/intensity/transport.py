@@ -6,6 +6,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import one_hot, pad
 
+WIDEST = 50.0
+"""Largest variance of one step, squared cells: what spreads over thirty cells may as well be anywhere."""
+
 
 class Kernel(NamedTuple):
     """Weights that carry V rows along an axis.
@@ -23,13 +26,13 @@ def kernel(shift: Tensor, variance: Tensor) -> Kernel:
     """Weights of the given mean, and of the given variance or the least that cells can have.
 
     A mean f of the way between two cells has a variance of `f (1 - f)` at least: linear interpolation.
-    Wide kernels are narrow ones of three weights applied m times.
+    There is no more than `WIDEST` of it. Wide kernels are narrow ones of three weights applied m times.
 
     Args:
         shift: `(*batch, V)` mean in cells.
         variance: `(*batch, V)` in squared cells.
     """
-    variance, whole = variance.expand_as(shift), shift.detach().round()
+    variance, whole = variance.expand_as(shift).clamp_max(WIDEST), shift.detach().round()
     # As often as each row needs, whatever the others do.
     times = (2 * variance.detach()).ceil().clamp_min(1)
     mean = (shift - whole) / times
