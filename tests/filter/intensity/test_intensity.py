@@ -11,6 +11,7 @@ from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.context import StepContext
 from torchdt.filter.intensity.intensity import tone_powers, update_intensity
 from torchdt.filter.intensity.settings import Intensity
+from torchdt.filter.intensity.undetected import log_ratio
 from torchdt.filter.proposal.cells import Residual, cell_statistics
 from torchdt.model.measurement import from_snapshots
 
@@ -55,7 +56,7 @@ def steps_of(tracker, snapshots, likelihood_power=1.0):
         residual = Residual(cell_statistics(tracker.dictionary, whiten(tempered, background)), noise)
         context = StepContext(tracker.field, tracker.region, model, measurement)
         at = tone_powers(context, noise, undetected.moment, undetected.settings)
-        ratio = undetected.log_ratio(context, residual, *at)
+        ratio = log_ratio(context, residual, *at)
         predicted = undetected.predict(intensity, model)
         intensity, log_evidence = update_intensity(predicted, ratio, power, undetected.settings.step_nats)
         found.append(intensity)
