@@ -159,7 +159,9 @@ class DirectTracker(Tracker[TrackerState]):
     @cached_property
     def undetected(self) -> Undetected | None:
         """What carries the intensity of undetected objects, if anything does."""
-        return self.config.undetected.on(self.dictionary, self.region, self.model, self.step_s)
+        # Kept for gradients too, which tensors made in inference mode are not for.
+        with torch.inference_mode(False), torch.no_grad():
+            return self.config.undetected.on(self.dictionary, self.region, self.model, self.step_s)
 
     def step(
         self, state: TrackerState, measurement: Measurement, priors: Priors, streams: RandomStreams
