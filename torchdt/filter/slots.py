@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchdt.core.trees import tree_map
 from torchdt.filter.bp.schedule import Beliefs, strongest_first
-from torchdt.filter.proposal.cells import Residual
+from torchdt.filter.proposal.cells import Unexplained
 from torchdt.filter.state import Objects
 
 
@@ -25,7 +25,7 @@ class Placed(NamedTuple):
     objects: Objects
     response: Tensor
     beliefs: Beliefs
-    residual: Residual | None = None
+    residual: Unexplained | None = None
 
 
 def strongest_slots(objects: Objects) -> Tensor:

@@ -12,7 +12,7 @@ from torchdt.filter.context import StepContext
 from torchdt.filter.intensity.intensity import tone_powers, update_intensity
 from torchdt.filter.intensity.settings import Intensity
 from torchdt.filter.intensity.undetected import log_ratio
-from torchdt.filter.proposal.cells import Residual, cell_statistics
+from torchdt.filter.proposal.cells import Unexplained, cell_statistics
 from torchdt.model.measurement import from_snapshots
 
 NOISE, STEPS = 1 / 8, 12
@@ -53,7 +53,7 @@ def steps_of(tracker, snapshots, likelihood_power=1.0):
         noise = torch.full((2,), NOISE, dtype=F64)
         background = NOISE * torch.eye(8, dtype=torch.complex128).expand(2, 8, 8)
         tempered = measurement.tempered(power)
-        residual = Residual(cell_statistics(tracker.dictionary, whiten(tempered, background)), noise)
+        residual = Unexplained(cell_statistics(tracker.dictionary, whiten(tempered, background)), noise)
         context = StepContext(tracker.field, tracker.region, model, measurement)
         at = tone_powers(context, noise, undetected.moment, undetected.settings)
         ratio = log_ratio(context, residual, *at)

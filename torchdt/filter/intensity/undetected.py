@@ -18,7 +18,7 @@ from torchdt.filter.intensity.grid import Hypotheses, lay_grid, transition
 from torchdt.filter.intensity.intensity import predict_intensity, tone_powers, update_intensity
 from torchdt.filter.intensity.levels import level_log_likelihood
 from torchdt.filter.intensity.promote import candidate, give_back, neighbourhood, promote
-from torchdt.filter.proposal.cells import Residual, cell_statistics
+from torchdt.filter.proposal.cells import Unexplained, cell_statistics
 from torchdt.filter.proposal.dictionary import Dictionary
 from torchdt.filter.slots import join
 from torchdt.filter.state import Objects
@@ -74,7 +74,7 @@ class Undetected:
         objects: Objects,
         known: int,
         beliefs: Beliefs,
-        residual: Residual,
+        residual: Unexplained,
         priors: Priors,
         config: TrackerConfig,
         draws: Tensor,
@@ -97,7 +97,7 @@ class Undetected:
         kept, predicted = objects.existence >= config.prune, self.predict(intensity, model)
         most, new = self.settings.step_nats, torch.arange(kept.shape[-1], device=kept.device) >= known
 
-        def updated(left: Residual) -> tuple[Tensor, Tensor, Tensor]:
+        def updated(left: Unexplained) -> tuple[Tensor, Tensor, Tensor]:
             power, share = tone_powers(context, left.noise, self.moment, self.settings)
             ratio = log_ratio(context, left, power, share)
             return power, *update_intensity(predicted, ratio, model.likelihood_power, most)
@@ -147,7 +147,7 @@ class Undetected:
 
 
 @torch.no_grad()
-def log_ratio(context: StepContext, residual: Residual, power: Tensor, share: Tensor) -> Tensor:
+def log_ratio(context: StepContext, residual: Unexplained, power: Tensor, share: Tensor) -> Tensor:
     """Log-likelihood ratio of an object in each cell at each level, `(*batch, L, C)`; a constant.
 
     Args:
@@ -162,13 +162,13 @@ def log_ratio(context: StepContext, residual: Residual, power: Tensor, share: Te
     return level_log_likelihood(s, q, context.measurement.num_snapshots, power, share)
 
 
-def left_by(context: StepContext, beliefs: Beliefs, dictionary: Dictionary) -> Residual:
+def left_by(context: StepContext, beliefs: Beliefs, dictionary: Dictionary) -> Unexplained:
     """What objects and noise leave unexplained of tempered data."""
     measurement = context.measurement.tempered(append_dims(context.model.likelihood_power, 1))
     signal = signal_covariance(beliefs.strength, beliefs.moment)
     noise = beliefs.noise.mean.detach()
     covariance = context.model.noise.covariance(signal, noise, measurement.present)
-    return Residual(cell_statistics(dictionary, whiten(measurement, covariance)), noise)
+    return Unexplained(cell_statistics(dictionary, whiten(measurement, covariance)), noise)
 
 
 def without(intensity: Tensor, cells: Tensor) -> Tensor:

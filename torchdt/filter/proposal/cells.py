@@ -38,7 +38,7 @@ class CellStatistics(NamedTuple):
     q_error: Tensor
 
 
-class Residual(NamedTuple):
+class Unexplained(NamedTuple):
     """What known objects and the noise leave unexplained.
 
     Attributes:
@@ -53,8 +53,8 @@ class Residual(NamedTuple):
 def slack(num_sensors: int, dtype: torch.dtype) -> float:
     """How far rounding may move `|W^H a|`, relative to its largest value for that `|a|`, with room to spare.
 
-    An inner product of M complex numbers is wrong by up to sqrt(2) M eps |w| |a| (Higham, Accuracy and
-    Stability of Numerical Algorithms, 2nd ed. 2002, ch. 3), and M of them by sqrt(M) times as much. This is
+    An inner product of M complex numbers is wrong by up to sqrt(2) M eps times their norms (Higham, Accuracy
+    and Stability of Numerical Algorithms, 2nd ed. 2002, ch. 3), and M of them by sqrt(M) times as much. This is
     absolute: where the sum cancels, next to strong objects, nothing holds relative to what is left.
     """
     return 4 * num_sensors**1.5 * torch.finfo(dtype).eps
