@@ -54,8 +54,8 @@ def slack(num_sensors: int, dtype: torch.dtype) -> float:
     """How far rounding may move `|W^H a|`, relative to its largest value for that `|a|`, with room to spare.
 
     An inner product of M complex numbers is wrong by up to sqrt(2) M eps times their norms (Higham, Accuracy
-    and Stability of Numerical Algorithms, 2nd ed. 2002, ch. 3), and M of them by sqrt(M) times as much. This is
-    absolute: where the sum cancels, next to strong objects, nothing holds relative to what is left.
+    and Stability of Numerical Algorithms, 2nd ed. 2002, ch. 3), and M of them by sqrt(M) times as much. This
+    is absolute: where the sum cancels, next to strong objects, nothing holds relative to what is left.
     """
     return 4 * num_sensors**1.5 * torch.finfo(dtype).eps
 
