@@ -79,7 +79,7 @@ def lay_grid(region: Region, motion: Motion, step_s: float, level: Tensor, most:
     low, high = extra.amin(0), extra.amax(0)
     room = most // (math.prod(region.grid_shape) * len(level))
     axes = _divide(_drift(region, motion, step_s, low, high), room)
-    edge = (high - low) / torch.tensor(axes).to(like)
+    edge = (high - low) / like.new_tensor(axes)
     centres = [
         lo + e * (torch.arange(n, device=like.device) + 0.5) for lo, e, n in zip(low, edge, axes, strict=True)
     ]

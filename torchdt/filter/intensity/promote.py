@@ -19,32 +19,28 @@ if TYPE_CHECKING:
     from torchdt.filter.intensity.undetected import Undetected
 
 
-def alike(dictionary: Dictionary, response: Tensor) -> Tensor:
-    """Share of the energy of a cell's response that another explains, mean over tones, `(*batch, C)`.
-
-    Args:
-        dictionary: responses on the grid of cells.
-        response: `(*batch, I, M)` complex.
-    """
-    product = (dictionary.response @ response.conj()[..., None]).squeeze(-1).abs().square()
-    energy = dictionary.energy * torch.linalg.vector_norm(response, dim=-1).square()[..., None]
-    return (product / energy.clamp_min(torch.finfo(energy.dtype).tiny)).mean(-2)
-
-
 def neighbourhood(dictionary: Dictionary, cell: Tensor, settings: Intensity) -> Tensor:
     """The cells that the array hardly tells from one, wherever they lie, `(*batch, C)` bool.
+
+    Those are alike of whose responses' energy another explains enough, in the mean over tones.
 
     Args:
         dictionary: responses on the grid of cells.
         cell: `(*batch,)` int64.
         settings: of the intensity.
     """
-    response = dictionary.response
+    response, energy = dictionary.response, dictionary.energy
     if response.ndim == 3:
         own = response[:, cell].movedim(0, -2)
-    else:
-        own = response.take_along_dim(cell[..., None, None, None], -2).squeeze(-2)
-    return alike(dictionary, own) >= settings.alike
+    else:  # a field for each sequence
+        more = [1] * (cell.ndim - 1)
+        sequence = torch.arange(len(response), device=cell.device).reshape(-1, *more)
+        own = response.movedim(-2, 1)[sequence, cell]
+        response = response.reshape(len(response), *more, *response.shape[1:])
+        energy = energy.reshape(len(energy), *more, *energy.shape[1:])
+    product = (response @ own.conj()[..., None]).squeeze(-1).abs().square()
+    norm = energy * torch.linalg.vector_norm(own, dim=-1).square()[..., None]
+    return (product / norm.clamp_min(torch.finfo(norm.dtype).tiny)).mean(-2) >= settings.alike
 
 
 def candidate(undetected: Undetected, intensity: Tensor) -> tuple[Tensor, Tensor]:

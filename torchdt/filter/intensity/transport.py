@@ -83,15 +83,18 @@ def node_matrix(kernels: list[Kernel], shape: tuple[int, ...]) -> Tensor:
         kernels: of all V nodes along each axis.
         shape: of the grid.
     """
-    index = torch.cartesian_prod(*(torch.arange(n) for n in shape)).reshape(-1, len(shape))
+    device = kernels[0].weight.device
+    axes = (torch.arange(n, device=device) for n in shape)
+    index = torch.cartesian_prod(*axes).reshape(-1, len(shape))
     matrix: Tensor | None = None
     for axis, (moves, num) in enumerate(zip(kernels, shape, strict=True)):
         reach = moves.weight.shape[-1] // 2
-        steps = torch.tensor(moves.offset)[:, None] + torch.arange(-reach, reach + 1)
+        offset = torch.tensor(moves.offset, device=device)[:, None]
+        steps = offset + torch.arange(-reach, reach + 1, device=device)
         to = (index[:, axis, None] + steps).clamp(0, num - 1)
         along = one_hot(to, num).to(moves.weight)  # (V, 2 m + 1, num)
         part = (moves.weight[..., None] * along).sum(-2)  # (*batch, V, num)
-        part = part[..., index[:, axis].to(part.device)]
+        part = part[..., index[:, axis]]
         matrix = part if matrix is None else matrix * part
     assert matrix is not None, "a grid has an axis"
     return matrix
