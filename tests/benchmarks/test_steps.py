@@ -82,7 +82,8 @@ def test_the_parts_do_what_the_step_does(tracker, reached):
     assert existence.shape == (1, 2)
     torch.testing.assert_close(existence.sort().values, expected.existence[:, :2].sort().values)
     torch.testing.assert_close(concluded.state, expected.state)
-    torch.testing.assert_close(log_evidence, expected.log_evidence)
+    # Beside what is undetected, of which there are few: mu_B / (1 - p_s) at most.
+    torch.testing.assert_close(log_evidence, expected.log_evidence, rtol=0, atol=1e-2)
 
 
 def test_the_newborn_are_the_sources_themselves(tracker, reached):
@@ -90,7 +91,7 @@ def test_the_newborn_are_the_sources_themselves(tracker, reached):
     with torch.no_grad():
         parts = steps.forward_parts(tracker, state, measurement, priors, streams)
         born, _ = parts["newborn proposal"][0]()
-        nothing_new, _ = parts["search for new objects"][0]()
+        nothing_new, _, _ = parts["search for new objects"][0]()
     assert nothing_new is None
     bearings = born.state[0, :, :, 0].mean(-1).sort().values
     torch.testing.assert_close(bearings, torch.tensor([-20.0, 30.0]).double(), rtol=0, atol=2.0)

@@ -105,7 +105,7 @@ def test_what_an_undetected_object_explains_is_a_constant(measurement, monkeypat
 
     monkeypatch.setattr(undetected, "log_ratio", spy)
     differentiate(make_tracker(**SMALL), measurement)
-    assert len(seen) == 4
+    assert len(seen) >= 4  # one a step, and again where a new object shows itself
     assert not any(ratio.requires_grad for ratio in seen)
     assert any(ratio.abs().max() > 1 for ratio in seen)
 
