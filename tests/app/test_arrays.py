@@ -65,7 +65,13 @@ def test_a_recorded_source_goes_through_the_seam_under_one_label(launch, tmp_pat
         "truth": 90 - np.rad2deg(np.arctan2(sine, cosine)).T[..., None],
     }
     np.savez(tmp_path / "one_a.npz", **arrays)
-    data = ("data=npz", f"data.path={tmp_path / 'one_a.npz'}", "model.survival=0.98", "tracker.particles=100")
+    data = (
+        "data=npz",
+        "tracker/undetected=ignored",
+        f"data.path={tmp_path / 'one_a.npz'}",
+        "model.survival=0.98",
+        "tracker.particles=100",
+    )
     outcome = launch("scenario=all_round", *data, small=False)
     assert outcome.status == 0, outcome.err
     rows = outcome.rows("tracks.csv")
