@@ -153,7 +153,7 @@ class DirectTracker(Tracker[TrackerState]):
         )
         noise = self.model.noise.initial(priors.noise_max, cfg.noise_points)
         first = torch.ones(batch, dtype=torch.int64, device=self._idle.device)
-        unseen = None if self.undetected is None else self.undetected.init(batch)
+        unseen = self._idle.new_zeros((*batch, 0)) if self.undetected is None else self.undetected.init(batch)
         return TrackerState(objects, noise, first, unseen)
 
     @cached_property
