@@ -104,7 +104,7 @@ def forward_parts(
 
     predicted = tracker.predict(state, draws.driving)
     placing = (predicted, priors, draws.known, draws.newborn, draws.picks)
-    placed = placer.place(*placing)
+    placed, _ = placer.place(*placing)
     sweep = partial(
         update,
         placed.objects,
@@ -190,14 +190,21 @@ def gradient_parts(
     """
     leaves = {name: _leaf(value) for name, value in tracker.model.known().items()}
     given = TrackerState(
-        Objects(*(_leaf(t) for t in state.objects)), Noise(*(_leaf(t) for t in state.noise)), state.next_label
+        Objects(*(_leaf(t) for t in state.objects)),
+        Noise(*(_leaf(t) for t in state.noise)),
+        state.next_label,
+        _leaf(state.undetected),
     )
     forward = partial(
         tracker.with_model(tracker.model.with_numbers(leaves)).step, given, measurement, priors, streams
     )
     left, estimate = forward()
-    outputs = [t for t in (*left.objects, *left.noise, estimate.log_evidence) if t.requires_grad]
-    inputs = [t for t in (*leaves.values(), *given.objects, *given.noise) if t.requires_grad]
+    outputs = [
+        t for t in (*left.objects, *left.noise, left.undetected, estimate.log_evidence) if t.requires_grad
+    ]
+    inputs = [
+        t for t in (*leaves.values(), *given.objects, *given.noise, given.undetected) if t.requires_grad
+    ]
     backward = partial(
         torch.autograd.grad,
         outputs,

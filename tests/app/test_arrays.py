@@ -67,7 +67,6 @@ def test_a_recorded_source_goes_through_the_seam_under_one_label(launch, tmp_pat
     np.savez(tmp_path / "one_a.npz", **arrays)
     data = (
         "data=npz",
-        "tracker/undetected=ignored",
         f"data.path={tmp_path / 'one_a.npz'}",
         "model.survival=0.98",
         "tracker.particles=100",

@@ -44,6 +44,7 @@ OLD = TrackerState(
     make_objects([[0.9, 0.8, 0.0], [0.9, 0.0, 0.0]], [[3, 4, 0], [1, 0, 0]], [1.0, 1.0, 1.0], seed=9),
     Noise(torch.ones(2, TONES, 3, dtype=F64), torch.full((2, TONES, 3), -math.log(3), dtype=F64)),
     torch.tensor([5, 2]),
+    torch.zeros(2, 0, dtype=F64),
 )
 
 

@@ -94,8 +94,7 @@ def test_steps_run_again_only_for_the_gradient_of_blocks(measurement, block, wit
 
 def cut(state: TrackerState) -> TrackerState:
     objects, noise = (type(part)(*(t.detach() for t in part)) for part in state[:2])
-    undetected = None if state.undetected is None else state.undetected.detach()
-    return TrackerState(objects, noise, state.next_label, undetected)
+    return TrackerState(objects, noise, state.next_label, state.undetected.detach())
 
 
 @MODES

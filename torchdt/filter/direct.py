@@ -192,7 +192,7 @@ class DirectTracker(Tracker[TrackerState]):
         predicted = self.predict(state._replace(noise=noise), draws.driving)
         context = StepContext(self.field, self.region, model, tempered)
         placer = Placer(context, self.dictionary, cfg)
-        current = placer.place(predicted, priors, draws.known, draws.newborn, draws.picks)
+        current, residual = placer.place(predicted, priors, draws.known, draws.newborn, draws.picks)
         beliefs = update(
             current.objects,
             current.response,
@@ -206,11 +206,12 @@ class DirectTracker(Tracker[TrackerState]):
         context = context._replace(measurement=measurement)
         log_evidence = self.evidence(context, predicted, current, beliefs, draws.evidence)
         objects, undetected = posterior(current.objects, beliefs), state.undetected
-        if self.undetected is not None and undetected is not None and current.residual is not None:
+        if self.undetected is not None:
             known = predicted.objects.log_odds.shape[-1]
+            # Those of the last pick, of which there are hardly ever as many.
             draws_of_one = draws.newborn.final[..., -1, :, :]
             undetected, objects, log_unseen = self.undetected.step(
-                undetected, context, objects, known, beliefs, current.residual, priors, cfg, draws_of_one
+                undetected, context, objects, known, beliefs, residual, priors, cfg, draws_of_one
             )
             if cfg.evidence.knows_births:
                 observed = (measurement.num_snapshots > 0).any(-1)

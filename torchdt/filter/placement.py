@@ -11,6 +11,7 @@ from torchdt.filter.bp.schedule import Beliefs, initial_beliefs
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.context import StepContext
 from torchdt.filter.predict import Predicted
+from torchdt.filter.proposal.cells import Unexplained
 from torchdt.filter.proposal.dictionary import Dictionary
 from torchdt.filter.proposal.moved import Draws
 from torchdt.filter.proposal.newborn import Picks, propose_newborn, search
@@ -35,14 +36,17 @@ class Placer:
 
     def place(
         self, predicted: Predicted, priors: Priors, known: Draws, newborn: Draws, rounds: Tensor
-    ) -> Placed:
-        """Known and new objects on the particles of this step, and beliefs to start the update from.
+    ) -> tuple[Placed, Unexplained]:
+        """Known and new objects on the particles of this step, with beliefs to start the update from.
 
         Args:
             predicted: known objects and noise before the data, batch `(*batch, N)`.
             priors: limits of the priors.
             known, newborn: random numbers of the proposals.
             rounds: `(*batch, Q, rounds, S, d)` standard normal, for refining picks.
+
+        Returns:
+            The objects, and what the known ones among them leave unexplained.
         """
         cfg, noise = self.config, predicted.beliefs.noise
         field, region, model, measurement = self.context
@@ -67,11 +71,11 @@ class Placer:
         explained = tree_map(Tensor.detach, explained)
         current = first._replace(beliefs=first.beliefs._replace(noise=explained))
         if picks is None:
-            return current._replace(residual=residual)
+            return current, residual
         if cfg.proposal.moves:
             # Energy of objects not yet known has pulled at the known ones: place them again without it.
             current = self._place_again(current, predicted, explained, known, picks)
-        return self._add_newborn(current, picks, priors, newborn)._replace(residual=residual)
+        return self._add_newborn(current, picks, priors, newborn), residual
 
     def _place_again(
         self, current: Placed, predicted: Predicted, noise: Noise, draws: Draws, picks: Picks

@@ -8,7 +8,6 @@ from torch import Tensor
 
 from torchdt.core.trees import tree_map
 from torchdt.filter.bp.schedule import Beliefs, strongest_first
-from torchdt.filter.proposal.cells import Unexplained
 from torchdt.filter.state import Objects
 
 
@@ -19,13 +18,11 @@ class Placed(NamedTuple):
         objects: of batch `(*batch, N)`, predicted weights.
         response: `(*batch, N, I, P, M)` complex.
         beliefs: current beliefs.
-        residual: what the known objects leave unexplained, once it is looked for.
     """
 
     objects: Objects
     response: Tensor
     beliefs: Beliefs
-    residual: Unexplained | None = None
 
 
 def strongest_slots(objects: Objects) -> Tensor:

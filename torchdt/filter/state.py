@@ -47,10 +47,10 @@ class TrackerState(NamedTuple):
         noise: predicted for the next step by `DirectTracker`, as after the last one by `PaperTracker`.
         next_label: `(*batch,)` int64, next free label.
         undetected: `(*batch, V, L, C)` intensity of objects of which no potential object is made yet, see
-            `torchdt.filter.intensity.intensity`; None without one.
+            `torchdt.filter.intensity.intensity`; empty, `(*batch, 0)`, where there is none.
     """
 
     objects: Objects
     noise: Noise
     next_label: Tensor
-    undetected: Tensor | None = None
+    undetected: Tensor

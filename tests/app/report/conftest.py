@@ -76,4 +76,4 @@ def state(history):
         label=estimate.label,
     )
     noise = Noise(torch.ones(I, 1), torch.zeros(I, 1))
-    return TrackerState(objects, noise, torch.tensor(13))
+    return TrackerState(objects, noise, torch.tensor(13), torch.zeros(0))

@@ -53,7 +53,9 @@ def steps_of(tracker, snapshots, likelihood_power=1.0):
         noise = torch.full((2,), NOISE, dtype=F64)
         background = NOISE * torch.eye(8, dtype=torch.complex128).expand(2, 8, 8)
         tempered = measurement.tempered(power)
-        residual = Unexplained(cell_statistics(tracker.dictionary, whiten(tempered, background)), noise)
+        residual = Unexplained(
+            cell_statistics(tracker.dictionary, whiten(tempered, background)), noise, torch.zeros_like(noise)
+        )
         context = StepContext(tracker.field, tracker.region, model, measurement)
         at = tone_powers(context, noise, undetected.moment, undetected.settings)
         ratio = log_ratio(context, residual, *at)

@@ -8,8 +8,12 @@ from oracles.line_array import make_tracker, simulate
 
 from torchdt.core.random import RandomStreams
 from torchdt.core.trees import tree_map
+from torchdt.filter.bp.rank_one import whiten
+from torchdt.filter.context import StepContext
 from torchdt.filter.intensity.settings import Ignored, Intensity
+from torchdt.filter.intensity.undetected import doubted
 from torchdt.filter.likelihood import log_likelihood
+from torchdt.filter.proposal.cells import Unexplained, cell_statistics
 from torchdt.model.measurement import from_snapshots
 from torchdt.model.prior import Priors, data_priors
 
@@ -109,3 +113,33 @@ def test_a_gradient_after_tracking_in_inference_mode():
     assert mean.grad is not None
     assert mean.grad.isfinite()
     assert mean.grad != 0
+
+
+def test_what_known_objects_leave_counts_as_noise_in_all_directions_but_theirs():
+    """Exactly so for responses that are orthogonal to theirs."""
+    tracker, data = make_tracker(), measured(1, steps=1).at(0)
+    eye, share, received = torch.eye(8, dtype=torch.complex128), 0.1, torch.tensor([[5.0, 2.0]]).double()
+    noise = torch.tensor([[0.3, 0.7]], dtype=torch.float64)
+    known = torch.zeros(1, 2, 8, 8, dtype=torch.complex128)
+    known[..., 0, 0] = received
+    dictionary = tracker.dictionary._replace(
+        response=eye.expand(2, -1, -1), energy=torch.ones(2, 8, dtype=torch.float64)
+    )
+    left = cell_statistics(dictionary, whiten(data, known + noise[..., None, None] * eye))
+    context = StepContext(tracker.field, tracker.region, tracker.model, data)
+    found = doubted(context, Unexplained(left, noise, received), share)
+    louder = noise + share * received / 8
+    expected = cell_statistics(dictionary, whiten(data, known + louder[..., None, None] * eye))
+    torch.testing.assert_close(found.noise, louder)
+    torch.testing.assert_close(found.cells.s[..., 1:], expected.s[..., 1:])
+    torch.testing.assert_close(found.cells.q[..., 1:], expected.q[..., 1:])
+
+
+def test_an_echo_of_a_strong_source_is_no_object():
+    """26 dB below, too weak for a single step; where the field is known exactly it is a source."""
+    echo = ((0.0, 30.0), (40.0, 30.0))
+    data = simulate(1, FAINT, echo, steps=20, snr_db=20.0, powers_db=(0.0, -26.0))[0]
+    measurement = from_snapshots(data[None])
+    assert run(make_tracker(), measurement, 1).declared.sum(-1).max() == 1
+    exact = make_tracker(undetected=Intensity(leftover=0.0))
+    assert run(exact, measurement, 1).declared.sum(-1).max() == 2

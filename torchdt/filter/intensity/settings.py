@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from torchdt.core.ranges import Checked, Count, InnerProbability, Nats, Positive, Range
+from torchdt.core.ranges import Checked, Count, InnerProbability, Nats, Positive, Range, Share
 from torchdt.filter.intensity.grid import lay_grid
 from torchdt.filter.intensity.undetected import Undetected
 from torchdt.filter.proposal.dictionary import Dictionary
@@ -60,6 +60,8 @@ class Intensity(Checked):
             what a hundred steps can show, and what shows itself in one.
         step_nats: most that one step can add to the logarithm of the intensity: what says more is seen
             without it, or is nothing that the model explains.
+        leftover: share of the power of known objects that their responses may leave unexplained: errors of
+            phase of 18 degrees, echoes. So much counts as noise here. Zero where the field is known exactly.
         promote: existence probability above which a neighbourhood becomes a potential object.
         alike: share of a response's energy that another explains, from which on both are one neighbourhood.
         hypotheses: number of cells times levels times rates, at most; a region whose cells and levels alone
@@ -72,6 +74,7 @@ class Intensity(Checked):
     lowest: Positive = 0.1
     highest: Positive = 10.0
     step_nats: Nats = 10.0
+    leftover: Share = 0.1
     promote: InnerProbability = 0.2
     alike: InnerProbability = 0.5
     hypotheses: Annotated[int, Range("a positive integer", low=1, most=1e9, whole=True)] = 1_000_000

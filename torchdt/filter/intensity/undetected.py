@@ -18,7 +18,7 @@ from torchdt.filter.intensity.grid import Hypotheses, lay_grid, transition
 from torchdt.filter.intensity.intensity import predict_intensity, tone_powers, update_intensity
 from torchdt.filter.intensity.levels import level_log_likelihood
 from torchdt.filter.intensity.promote import candidate, give_back, neighbourhood, promote
-from torchdt.filter.proposal.cells import Unexplained, cell_statistics
+from torchdt.filter.proposal.cells import Unexplained, cell_statistics, received_power
 from torchdt.filter.proposal.dictionary import Dictionary
 from torchdt.filter.slots import join
 from torchdt.filter.state import Objects
@@ -42,6 +42,7 @@ class Undetected:
         moment: mean of `a a^H` over the cells, `(I, M, M)`, or one for each sequence.
         dictionary: responses on the grid of cells.
         region: of interest.
+        step_s: time step in seconds.
     """
 
     settings: Intensity
@@ -98,6 +99,7 @@ class Undetected:
         most, new = self.settings.step_nats, torch.arange(kept.shape[-1], device=kept.device) >= known
 
         def updated(left: Unexplained) -> tuple[Tensor, Tensor, Tensor]:
+            left = doubted(context, left, self.settings.leftover)
             power, share = tone_powers(context, left.noise, self.moment, self.settings)
             ratio = log_ratio(context, left, power, share)
             return power, *update_intensity(predicted, ratio, model.likelihood_power, most)
@@ -132,9 +134,8 @@ class Undetected:
 
     def around(self, objects: Objects) -> Tensor:
         """Cells in the neighbourhood of each object, `(*batch, N, C)` bool."""
-        mean = weighted_mean(
-            objects.state[..., : self.region.num_coordinates].mT, objects.log_weight[..., None, :]
-        )
+        position = self.region.gather(objects.state, objects.log_weight)[..., : self.region.num_coordinates]
+        mean = weighted_mean(position.mT, objects.log_weight[..., None, :])
         return neighbourhood(self.dictionary, self.region.cell_of(mean), self.settings)
 
     def predict(self, intensity: Tensor, model: Model) -> Tensor:
@@ -162,13 +163,32 @@ def log_ratio(context: StepContext, residual: Unexplained, power: Tensor, share:
     return level_log_likelihood(s, q, context.measurement.num_snapshots, power, share)
 
 
+def doubted(context: StepContext, left: Unexplained, share: float) -> Unexplained:
+    """What is left unexplained, were the noise stronger by a share of what the known objects send.
+
+    Noise is that much stronger in all directions but theirs, in which nothing is left anyway.
+
+    Args:
+        context: model and data.
+        left: what known objects and noise leave unexplained.
+        share: of the objects' power.
+    """
+    present = context.measurement.present
+    nothing = present.new_zeros((*present.shape, present.shape[-1]), dtype=present.dtype.to_complex())
+    alone = received_power(context.model.noise.covariance(nothing, left.noise, present))
+    ratio = alone / (alone + share * left.received)
+    cells = left.cells._replace(s=left.cells.s * ratio[..., None], q=left.cells.q * ratio[..., None] ** 2)
+    return left._replace(cells=cells, noise=left.noise / ratio)
+
+
 def left_by(context: StepContext, beliefs: Beliefs, dictionary: Dictionary) -> Unexplained:
     """What objects and noise leave unexplained of tempered data."""
     measurement = context.measurement.tempered(append_dims(context.model.likelihood_power, 1))
     signal = signal_covariance(beliefs.strength, beliefs.moment)
     noise = beliefs.noise.mean.detach()
     covariance = context.model.noise.covariance(signal, noise, measurement.present)
-    return Unexplained(cell_statistics(dictionary, whiten(measurement, covariance)), noise)
+    cells = cell_statistics(dictionary, whiten(measurement, covariance))
+    return Unexplained(cells, noise, received_power(signal.detach()))
 
 
 def without(intensity: Tensor, cells: Tensor) -> Tensor:

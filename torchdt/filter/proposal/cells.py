@@ -44,10 +44,17 @@ class Unexplained(NamedTuple):
     Attributes:
         cells: statistics of every cell.
         noise: `(*batch, I)` mean noise variance that these were computed with.
+        received: `(*batch, I)` power of the known objects, sum over the sensors.
     """
 
     cells: CellStatistics
     noise: Tensor
+    received: Tensor
+
+
+def received_power(signal: Tensor) -> Tensor:
+    """Power of a signal of covariance `(*batch, I, M, M)`, sum over the sensors, `(*batch, I)`."""
+    return signal.diagonal(dim1=-2, dim2=-1).real.sum(-1)
 
 
 def slack(num_sensors: int, dtype: torch.dtype) -> float:

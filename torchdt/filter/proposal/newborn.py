@@ -22,7 +22,7 @@ from torchdt.filter.bp.moments import signal_covariance, signal_without_each
 from torchdt.filter.bp.rank_one import Whitener, peak_log_likelihood_ratio, statistics, whiten
 from torchdt.filter.proposal.adapted import Adapted
 from torchdt.filter.proposal.base import Proposal
-from torchdt.filter.proposal.cells import Unexplained, cell_statistics
+from torchdt.filter.proposal.cells import Unexplained, cell_statistics, received_power
 from torchdt.filter.proposal.dictionary import Dictionary
 from torchdt.filter.proposal.moved import Draws, respond
 from torchdt.filter.proposal.neighbourhood import drop_foreign, log_cells
@@ -105,7 +105,7 @@ def search(
     """
     known, belief = signal, noise_model.update(noise, measurement, signal)
     whitener = whiten(measurement, noise_model.covariance(signal, belief.mean, measurement.present))
-    residual = Unexplained(cell_statistics(dictionary, whitener), belief.mean)
+    residual = Unexplained(cell_statistics(dictionary, whitener), belief.mean, received_power(signal))
     # While the noise level is unknown, sources that are many and equal each pass for noise: look further.
     unsettled = _log_variance(noise).amax(-1) > UNSETTLED
     alive = torch.ones_like(free, dtype=torch.bool)
