@@ -44,6 +44,11 @@ class Detections(NamedTuple):
         """Level of one half within so many steps; NaN where the levels do not reach it."""
         return level_of_half(levels, [estimate.value for estimate in self.within(steps)])
 
+    def median_first(self) -> list[float | None]:
+        """Median of the step that first declares the source, for each level; None where half never do."""
+        medians = self.first.quantile(0.5, -1, interpolation="higher").tolist()
+        return [median if math.isfinite(median) else None for median in medians]
+
     @property
     def false_per_hour(self) -> Estimate:
         """Tracks in noise alone, per hour."""
@@ -73,6 +78,7 @@ class Report(NamedTuple):
             half = {steps: detections.half(self.levels, steps) for steps in self.within}
             content[name] = {
                 "level_of_half_db": half,
+                "median_first_step": dict(zip(self.levels, detections.median_first(), strict=True)),
                 "from_bound_db": {s: v - bound.half(self.levels, s) for s, v in half.items()},
                 "false_tracks": detections.num_false,
                 "false_per_hour": list(detections.false_per_hour),
