@@ -101,3 +101,16 @@ def test_intensity_and_evidence_are_those_of_a_dense_chain(tracker, snapshots):
     torch.testing.assert_close(found.flatten(1), odds, rtol=1e-9, atol=0)
     torch.testing.assert_close(evidence, expected, rtol=1e-9, atol=1e-12)
     assert odds[-1].sum() > 4 * odds[0].sum()
+
+
+def test_one_step_adds_so_much_to_the_intensity_and_all_it_says_to_the_evidence():
+    predicted = torch.full((1, 1, 2, 3), 1e-12, dtype=F64)
+    log_ratio = torch.tensor([[[0.0, -1.0, 25.0], [0.0, 5.0, 12.0]]], dtype=F64)
+    power = torch.tensor(1.0, dtype=F64)
+    updated, log_evidence = update_intensity(predicted, log_ratio, power, 10.0)
+    torch.testing.assert_close(updated, predicted * log_ratio.clamp_max(10.0).exp())
+    expected = (1 + 1e-12 * log_ratio.exp().sum()).log() - 6e-12
+    torch.testing.assert_close(log_evidence[0], expected, rtol=1e-9, atol=1e-12)
+    tempered, same = update_intensity(predicted, log_ratio, power / 2, 10.0)
+    torch.testing.assert_close(tempered, predicted * (log_ratio / 2).clamp_max(10.0).exp())
+    torch.testing.assert_close(same, log_evidence)

@@ -143,3 +143,22 @@ def test_an_echo_of_a_strong_source_is_no_object():
     assert run(make_tracker(), measurement, 1).declared.sum(-1).max() == 1
     exact = make_tracker(undetected=Intensity(leftover=0.0))
     assert run(exact, measurement, 1).declared.sum(-1).max() == 2
+
+
+def test_an_object_that_is_dropped_leaves_its_odds():
+    """Without data existence falls by p_s a step; below the threshold the odds are those of the intensity."""
+    data, prune, survival = simulate(1, FAINT, steps=3, snr_db=10.0)[0], 0.15, 0.7
+    silent = torch.cat([data, torch.full_like(data[:1], torch.nan).expand(8, -1, -1, -1)])
+    tracker = make_tracker(prune=prune, survival=survival)
+    measurement = from_snapshots(silent[None])
+    priors, streams = data_priors(measurement), RandomStreams.from_seeds([1], (1,), torch.float64)
+    state, existence = tracker.init(priors), 1.0
+    for k in range(11):
+        before, existence = state.undetected.sum(), float(state.objects.existence.max())
+        state, estimate = tracker.step(state, measurement.at(k), priors, streams)
+        if estimate.existence.max() == 0:
+            break
+    left = survival * existence
+    assert left < prune < existence
+    gained = state.undetected.sum() - survival * before
+    assert gained == pytest.approx(left / (1 - left) + 1e-4, rel=0.01)

@@ -101,6 +101,25 @@ def test_the_blocks_do_not_matter(rng, monkeypatch):
         torch.testing.assert_close(found, expected)
 
 
+def test_a_cell_whose_sensor_is_noisier_than_the_bulk_says():
+    """It is the strongest by a little; by the mean of the bulk cells of other sensors pass for stronger."""
+    sensors, copies = 4, 40
+    inverse = torch.tensor([1.0, 1.0, 1.0, 1 - 0.9 * (BULK - 1)], dtype=torch.float64)
+    response = torch.eye(sensors, dtype=torch.complex128).repeat_interleave(copies, 0)[None]
+    dictionary = Dictionary(
+        torch.zeros(len(response[0]), 2), response, torch.ones(1, len(response[0])).double()
+    )
+    energy = 5 / inverse
+    energy[-1] *= 1.0001
+    data = torch.diag_embed(energy.sqrt()).to(torch.complex128)[None]
+    whitener = whiten(
+        from_snapshots(data)._replace(num_snapshots=torch.ones(1).double()),
+        torch.diag(1 / inverse)[None] + 0j,
+    )
+    _, cell = strongest_cell(dictionary, whitener, torch.tensor(True))
+    assert cell >= (sensors - 1) * copies
+
+
 @pytest.mark.parametrize("objects", [2, SENSORS])
 def test_favour_is_added_to_the_surface(rng, objects):
     """Also where it is that of no other cell, or forbids most of them."""
