@@ -29,7 +29,7 @@ CONSTANTS = {
     "covariance of a fitted proposal over that of its target": ("core.importance.INFLATION", 1.5, 4.0),
     "least probability of existence and absence drawn": ("filter.bp.configurations.DOUBT", 1e-3, 0.05),
     "particles behind a predicted moment": ("filter.direct.MOMENT_PARTICLES", 125, 1000),
-    "spread of an unknown noise level": ("filter.proposal.newborn.UNSETTLED", 0.05, 1.0),
+    "spread of an unknown noise level": ("filter.proposal.search.UNSETTLED", 0.05, 1.0),
     "likelihood outside a box of a new object": ("filter.proposal.neighbourhood.OUTER", 1e-3, 0.1),
     "margin of a mixture over one Gaussian": ("core.partition.MARGIN", 0.03, 0.3),
     "cells tested exactly": ("filter.proposal.strongest.PROMISING", 8, 128),

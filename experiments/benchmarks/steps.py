@@ -22,7 +22,8 @@ from torchdt.filter.declare import posterior, report
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.placement import Placer
 from torchdt.filter.proposal.moved import respond
-from torchdt.filter.proposal.newborn import propose_newborn, search
+from torchdt.filter.proposal.newborn import propose_newborn
+from torchdt.filter.proposal.search import search
 from torchdt.filter.state import Objects, TrackerState
 from torchdt.model.measurement import Measurement
 from torchdt.model.noise.base import Noise

@@ -13,7 +13,6 @@ import torchdt.filter.intensity.undetected
 import torchdt.filter.placement
 import torchdt.filter.proposal.adapted
 import torchdt.filter.proposal.moved
-import torchdt.filter.proposal.newborn
 from torchdt.core.random import RandomStreams
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.likelihood import log_likelihood

@@ -15,7 +15,7 @@ from torchdt.core.trees import tree_map
 from torchdt.field.waveguide.family import WaveguideFamily
 from torchdt.field.waveguide.waveguide import NormalModeField
 from torchdt.filter.proposal.dictionary import build_dictionary
-from torchdt.filter.proposal.newborn import Picks, search
+from torchdt.filter.proposal.search import Picks, search
 from torchdt.model.gamma_chain import uniform_prior
 from torchdt.model.measurement import Measurement
 from torchdt.model.noise.base import Noise

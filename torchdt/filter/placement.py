@@ -14,7 +14,8 @@ from torchdt.filter.predict import Predicted
 from torchdt.filter.proposal.cells import Unexplained
 from torchdt.filter.proposal.dictionary import Dictionary
 from torchdt.filter.proposal.moved import Draws
-from torchdt.filter.proposal.newborn import Picks, propose_newborn, search
+from torchdt.filter.proposal.newborn import propose_newborn
+from torchdt.filter.proposal.search import Picks, search
 from torchdt.filter.slots import Placed, join, join_beliefs
 from torchdt.filter.state import Objects
 from torchdt.model.noise.base import Noise

@@ -16,7 +16,8 @@ from torchdt.filter.proposal.adapted import Adapted
 from torchdt.filter.proposal.as_predicted import AsPredicted
 from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.filter.proposal.moved import Draws, respond
-from torchdt.filter.proposal.newborn import propose_newborn, search
+from torchdt.filter.proposal.newborn import propose_newborn
+from torchdt.filter.proposal.search import search
 from torchdt.model.gamma_chain import uniform_prior
 from torchdt.model.measurement import Measurement, from_snapshots, mask_covariance
 from torchdt.model.model import Model
