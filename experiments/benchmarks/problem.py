@@ -68,6 +68,7 @@ def random_problem(
         log_power_weight=_even(log_power.new_empty(*batch, slots, tones, power_points)),
         log_odds=torch.logit(0.5 + 0.49 * streams.uniform(slots)),
         label=torch.zeros(*batch, slots, dtype=torch.int64, device=device),
+        transmits=log_power.new_ones((*batch, slots, particles)),
     )
     variance = level.expand(*batch, tones, noise_points)
     return objects, response, Noise(variance, _even(torch.empty_like(variance))), from_snapshots(received)

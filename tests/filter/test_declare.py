@@ -37,6 +37,7 @@ def make_objects(
         real(TONES, POINTS).log_softmax(-1),
         torch.logit(torch.tensor(existence, dtype=F64)),
         torch.tensor(label),
+        torch.ones(*batch, PARTICLES, dtype=F64),
     )
 
 

@@ -100,6 +100,7 @@ def make_scene(
         log_power_weight=torch.tensor(log_power).expand(2, -1, -1),
         log_odds=torch.logit(prior_r),
         label=torch.zeros(2, dtype=torch.int64),
+        transmits=torch.ones(2, uniform.shape[-1], dtype=torch.float64),
     )
     response = torch.tensor(np.stack(responses)).transpose(-3, -2).contiguous()
     return Scene(

@@ -37,6 +37,13 @@ class GaussianMixture(NamedTuple):
         """Of the first entries."""
         return GaussianMixture(self.log_weight, self.mean[..., :number], self.tril[..., :number, :number])
 
+    def joined(self, other: "GaussianMixture | None") -> "GaussianMixture":
+        """The components of both, whose weights add up to one; of this one if there is no other."""
+        if other is None:
+            return self
+        dim = self.log_weight.ndim - 1
+        return GaussianMixture(*(torch.cat(pair, dim) for pair in zip(self, other, strict=True)))
+
     def sample(self, draws: Tensor, component: Tensor) -> Tensor:
         """Map standard normal draws `(*batch, P, D)` to samples of the components `(*batch, P)`."""
         return of_component(self.components.sample(draws.unsqueeze(-3)), component)

@@ -85,6 +85,8 @@ class TrackerConfig(ObjectConfig):
         sweeps: BP passes over all objects per step.
         schedule: order of the messages.
         proposal: where particles are: drawn anew around the data, or as predicted.
+        report_silent: whether objects that exist are reported while they do not transmit; if not, existence
+            and transmission together have to be probable.
         mismatch_share: share of each tone's energy that responses do not cover, where the field knows how its
             response scatters; None leaves it to the calibration.
         undetected: intensity of undetected objects, from which births rest on many steps; or nothing.
@@ -100,6 +102,7 @@ class TrackerConfig(ObjectConfig):
     sweeps: Passes = 2
     schedule: Schedule = field(default_factory=Sequential)
     proposal: Proposal = field(default_factory=Adapted)
+    report_silent: bool = True
     mismatch_share: list[InnerProbability] | None = None
     undetected: UndetectedModel = field(default_factory=Intensity)
     evidence: Evidence = field(default_factory=SampledEvidence)

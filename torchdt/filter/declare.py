@@ -58,6 +58,7 @@ def report(
     state = region.wrap(weighted_mean(objects.state.mT, objects.log_weight[..., None, :]))
     estimate = StepEstimate(
         existence=objects.existence,
+        transmission=objects.transmission,
         declared=declared,
         label=label,
         position=state[..., : region.num_coordinates],

@@ -150,6 +150,7 @@ class DirectTracker(Tracker[TrackerState]):
             log_power_weight=log_power_weight.unsqueeze(-3).expand(*slots, num_tones, -1),
             log_odds=self._idle.new_full(slots, -torch.inf),
             label=torch.zeros(slots, dtype=torch.int64, device=self._idle.device),
+            transmits=self._idle.new_ones((*slots, cfg.particles)),
         )
         noise = self.model.noise.initial(priors.noise_max, cfg.noise_points)
         first = torch.ones(batch, dtype=torch.int64, device=self._idle.device)
@@ -220,6 +221,9 @@ class DirectTracker(Tracker[TrackerState]):
             constant = log_normaliser(received, append_dims(count, 1)).to(log_evidence)
             log_evidence = log_evidence + constant.sum(-1)
         objects, next_label, estimate = report(objects, beliefs.noise, state, log_evidence, self.region, cfg)
+        if not cfg.report_silent:
+            heard = estimate.existence * estimate.transmission > cfg.declare
+            estimate = estimate._replace(declared=estimate.declared & heard)
         objects = cfg.proposal.resample(objects, cfg.resampler, streams)
         noise = model.noise.predict(state.noise._replace(log_weight=beliefs.noise.log_weight))
         return TrackerState(empty_slots(objects, self._idle), noise, next_label, undetected), estimate

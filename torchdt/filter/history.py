@@ -17,6 +17,7 @@ class Estimates(NamedTuple):
 
     Attributes:
         existence: `(*batch, N)` probability that the object exists.
+        transmission: `(*batch, N)` probability that it transmits in one tone at least, given that it exists.
         declared: `(*batch, N)` bool, the object is reported.
         label: `(*batch, N)` int64, identity of the track in the slot; 0 = none yet.
         position: `(*batch, N, d)` the first entries of the state.
@@ -30,6 +31,7 @@ class Estimates(NamedTuple):
     """
 
     existence: Tensor
+    transmission: Tensor
     declared: Tensor
     label: Tensor
     position: Tensor

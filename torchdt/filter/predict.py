@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from torchdt.core.mixture import GaussianMixture, cluster_moments
@@ -24,13 +25,16 @@ class Predicted(NamedTuple):
 
     Attributes:
         objects: with moved particles, batch `(*batch, N)`.
-        density: of their states, batch `(*batch, N)`: the clusters of the last step's particles, moved.
+        density: of their states, batch `(*batch, N)`: the clusters of the last step's particles, moved; where
+            they transmit, if some may be silent. Its weights add up to the probability of that.
+        silent: the same where they do not; None where all transmit.
         response: `(*batch, N, I, P, M)` complex, or of fewer particles where these are enough.
         beliefs: before any message.
     """
 
     objects: Objects
     density: GaussianMixture
+    silent: GaussianMixture | None
     response: Tensor
     beliefs: Beliefs
 
@@ -67,21 +71,37 @@ def predict(
     power = model.power.predict(old.power, old.log_power_weight)
     log_weight, log_inside = condition_inside(moved, old.log_weight + log_ratio, region)
     log_odds = predict_log_odds(old.log_odds, append_dims(model.survival, 1) * log_inside.exp())
-    objects = Objects(moved, log_weight, *power, log_odds, old.label)
-    log_share, mean, covariance = cluster_moments(old.state, old.log_weight, components)
-    size = mean.shape[-3:-1]
-    mean, covariance = model.motion.moments(mean.flatten(-3, -2), covariance.flatten(-4, -3), step_s)
-    density = GaussianMixture(log_share, mean.unflatten(-2, size), scale_tril(covariance).unflatten(-3, size))
+    switch = model.power.switch
+    transmits = old.transmits if switch is None else switch.predict(old.transmits)
+    objects = Objects(moved, log_weight, *power, log_odds, old.label, transmits)
+    weights = [old.log_weight]
+    if switch is not None:
+        weights = [old.log_weight + transmits.log(), old.log_weight + torch.log1p(-transmits)]
+    density, *silent = (_mixture(model, old.state, weight, components, step_s) for weight in weights)
     every = 1 if num_particles is None else max(1, objects.state.shape[-2] // num_particles)
     observed = objects
     if every > 1:
         observed = objects._replace(
-            state=objects.state[..., ::every, :], log_weight=normalise(objects.log_weight[..., ::every])[0]
+            state=objects.state[..., ::every, :],
+            log_weight=normalise(objects.log_weight[..., ::every])[0],
+            transmits=transmits[..., ::every],
         )
     response = respond(field, observed.state)
     diffuse = diffuse_part(field, objects.state, objects.log_weight)
     beliefs = initial_beliefs(observed, response, state.noise, diffuse)._replace(objects=as_belief(objects))
-    return Predicted(objects, density, response, beliefs)
+    return Predicted(objects, density, silent[0] if silent else None, response, beliefs)
+
+
+def _mixture(
+    model: Model, state: Tensor, log_weight: Tensor, components: int, step_s: float
+) -> GaussianMixture:
+    """Clusters of particles, moved; neither log-weights `(*batch, N, P)` nor theirs need add up to one."""
+    within, log_total = normalise(log_weight)
+    log_share, mean, covariance = cluster_moments(state, within, components)
+    size = mean.shape[-3:-1]
+    mean, covariance = model.motion.moments(mean.flatten(-3, -2), covariance.flatten(-4, -3), step_s)
+    tril = scale_tril(covariance).unflatten(-3, size)
+    return GaussianMixture(log_share + log_total[..., None], mean.unflatten(-2, size), tril)
 
 
 def exchangeable(predicted: Predicted, region: Region, within: float = 3.0) -> Tensor:

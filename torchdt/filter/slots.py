@@ -26,8 +26,8 @@ class Placed(NamedTuple):
 
 
 def strongest_slots(objects: Objects) -> Tensor:
-    """Slot indices by decreasing `r E[gamma]`, empty ones last, `(*batch, N)` int64."""
-    strength = objects.existence[..., None] * objects.mean_power
+    """Slot indices by decreasing `r E[gamma]` of what transmits, empty ones last, `(*batch, N)` int64."""
+    strength = (objects.existence * objects.transmission)[..., None] * objects.mean_power
     return strongest_first(torch.where(objects.log_odds.isfinite()[..., None], strength, -torch.inf))
 
 

@@ -19,6 +19,9 @@ class Objects(NamedTuple):
         log_power_weight: `(*batch, N, I, G)` normalised log-weights.
         log_odds: `(*batch, N)` log p(exists) / p(does not).
         label: `(*batch, N)` int64, 0 until the object is first declared.
+        transmits: `(*batch, N, P)` probability that the object transmits, given the state of a particle; zero
+            or one where messages are computed. All tones together, see
+            `torchdt.model.power.base.PowerModel.switch`.
     """
 
     state: Tensor
@@ -27,6 +30,7 @@ class Objects(NamedTuple):
     log_power_weight: Tensor
     log_odds: Tensor
     label: Tensor
+    transmits: Tensor
 
     @property
     def existence(self) -> Tensor:
@@ -37,6 +41,12 @@ class Objects(NamedTuple):
     def mean_power(self) -> Tensor:
         """E[gamma] of each tone given existence, `(*batch, N, I)`."""
         return weighted_mean(self.power, self.log_power_weight)
+
+    @property
+    def transmission(self) -> Tensor:
+        """Probability that the object transmits in one tone at least, given that it exists, `(*batch, N)`."""
+        nothing = torch.where(self.power > 0, 0.0, self.log_power_weight.exp()).sum(-1).prod(-1)
+        return weighted_mean(self.transmits, self.log_weight) * (1 - nothing)
 
 
 class TrackerState(NamedTuple):

@@ -40,6 +40,7 @@ def history():
     state[:, :, 1] = torch.tensor([700.0, 90.0, 0.0, 0.0])
     return TrackHistory(
         existence=torch.where(declared, 0.987654321, 0.01),
+        transmission=torch.where(declared, 0.75, 1.0),
         declared=declared,
         label=label,
         position=state[..., :2],
@@ -74,6 +75,7 @@ def state(history):
         log_power_weight=weight.log().expand(N, I, G),
         log_odds=estimate.existence.logit(),
         label=estimate.label,
+        transmits=torch.ones(N, P),
     )
     noise = Noise(torch.ones(I, 1), torch.zeros(I, 1))
     return TrackerState(objects, noise, torch.tensor(13), torch.zeros(0))

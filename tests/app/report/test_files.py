@@ -35,14 +35,14 @@ def test_tracks_csv(tmp_path, history, times):
     path = tmp_path / "tracks.csv"
     files.write_tracks_csv(path, history, times)
     header = "run,step,time_s,label,existence,range_m,depth_m,range_rate_mps,depth_rate_mps,power_1,power_2"
-    header += ",std_range_m,std_depth_m,std_range_rate_mps,std_depth_rate_mps"
+    header += ",std_range_m,std_depth_m,std_range_rate_mps,std_depth_rate_mps,transmission"
     assert path.read_text().splitlines()[0] == header
     table = rows(path)
     assert len(table) == history.declared.sum()
     ghost = next(r for r in table if r["label"] == "12")
     assert (ghost["run"], ghost["step"], ghost["range_m"], ghost["power_2"]) == ("1", "2", "700", "1000")
     assert ghost["time_s"] == "68.192"
-    assert list(ghost.values())[-4:] == ["2", "0.5", "0.25", "0.125"]
+    assert list(ghost.values())[-5:] == ["2", "0.5", "0.25", "0.125", "0.75"]
     # Enough digits to give single precision back exactly.
     assert torch.tensor(float(table[0]["depth_rate_mps"])) == history.state[0, 0, 0, 3]
     assert torch.tensor(float(table[0]["range_m"])) == history.state[0, 0, 0, 0]
@@ -65,7 +65,7 @@ def test_tracks_csv_of_another_field(tmp_path, history, times):
     path = tmp_path / "tracks.csv"
     files.write_tracks_csv(path, bearing, times, ("bearing_deg", "bearing_rate_degps"))
     assert list(rows(path)[0])[5:7] == ["bearing_deg", "bearing_rate_degps"]
-    assert list(rows(path)[0])[-2:] == ["std_bearing_deg", "std_bearing_rate_degps"]
+    assert list(rows(path)[0])[-3:] == ["std_bearing_deg", "std_bearing_rate_degps", "transmission"]
     with pytest.raises(ValueError, match="coordinates: found 2, expected 4"):
         files.write_tracks_csv(path, history, times, ("bearing_deg", "bearing_rate_degps"))
 

@@ -84,6 +84,7 @@ def make_pair(field, grids, measurement) -> Pair:
         log_power,
         torch.logit(torch.tensor([0.9, 1e-3], dtype=F64)),
         torch.zeros(2, dtype=torch.int64),
+        torch.ones_like(weights[0]).expand(2, -1),
     )
     grid = torch.logspace(-0.5, 0.5, 11, dtype=F64).expand(3, -1)
     noise = Noise(grid, torch.full_like(grid, -math.log(11)))
@@ -192,8 +193,9 @@ def test_select_on_nested_tuples(batch, with_diffuse):
         def draw(*shape: int) -> torch.Tensor:
             return torch.randn(*batch, *shape, generator=rng)
 
-        objects = Objects(draw(2, 5, 4), draw(2, 5), draw(2, 3, 6), draw(2, 3, 6), draw(2), draw(2).long())
-        return Nest(objects, Noise(draw(3, 7), draw(3, 7)), draw(), draw(2, 3) if with_diffuse else None)
+        points = draw(2, 5, 4), draw(2, 5), draw(2, 3, 6), draw(2, 3, 6), draw(2), draw(2).long(), draw(2, 5)
+        extra = draw(2, 3) if with_diffuse else None
+        return Nest(Objects(*points), Noise(draw(3, 7), draw(3, 7)), draw(), extra)
 
     first, second = nest(), nest()
     condition = torch.rand(batch, generator=rng) < 0.5

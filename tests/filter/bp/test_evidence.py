@@ -183,7 +183,7 @@ def test_gradients_of_everything_but_the_configurations():
 
     def evidence(weight, power, power_weight, odds, variance, noise_weight, response, root):
         state, label = torch.zeros(objects, states, 2, dtype=F64), torch.zeros(objects, dtype=torch.int64)
-        prior = Objects(state, weight, power, power_weight, odds, label)
+        prior = Objects(state, weight, power, power_weight, odds, label, torch.ones_like(weight))
         noise = Noise(variance, noise_weight)
         return sampled_evidence(prior, response, noise, measurement, drawn, root @ root.mH)
 

@@ -48,6 +48,7 @@ def sample(measurement: Measurement, mean: float, deviation: float, log_odds: fl
         LOG_POWER.expand(RUNS, 1, 2, -1),
         torch.full((RUNS, 1), log_odds, dtype=F64),
         torch.ones(RUNS, 1, dtype=torch.int64),
+        torch.ones(RUNS, 1, PARTICLES, dtype=F64),
     )
     noise = Noise(NOISE.expand(RUNS, 2, -1), LOG_NOISE.expand(RUNS, 2, -1))
     measurement, streams = repeat(measurement, RUNS), RandomStreams.from_seeds(range(RUNS), (RUNS,), F64)

@@ -26,6 +26,7 @@ def believe(g: Graph, iterations: int) -> Marginals:
             log_power_weight=torch.tensor(np.log(g.psi)),
             log_odds=torch.tensor(np.log(g.existence) - np.log1p(-g.existence)),
             label=torch.zeros(len(g.state), dtype=torch.int64),
+            transmits=torch.ones(g.state.shape, dtype=torch.float64),
         )
     noise = Noise(torch.tensor(g.variance), torch.tensor(np.log(g.xi)))
     measurement = from_snapshots(torch.tensor(g.data).transpose(0, 1))

@@ -45,7 +45,11 @@ def test_means_covariances_and_evidence_of_a_linear_gaussian_model(deviation):
             return -0.5 * misfit.square() - math.log(deviation * math.sqrt(2 * math.pi))
 
         drawn = draw_adapted(
-            log_likelihood, prediction, streams.normal(8, 128, 1), streams.normal(PARTICLES, 2)
+            log_likelihood,
+            prediction,
+            streams.normal(8, 128, 1),
+            streams.normal(PARTICLES, 2),
+            log_share.shape[-1],
         )
         state = drawn.state
         log_weight, log_evidence = normalise(drawn.log_prior - drawn.log_proposal + log_likelihood(state))

@@ -47,6 +47,7 @@ def predict(mean: float, deviation: float, runs: int, log_odds: float = -2.0) ->
         log_power_weight=torch.full((runs, 1, 2, 5), -math.log(5), dtype=F64),
         log_odds=torch.full((runs, 1), log_odds, dtype=F64),
         label=torch.ones(runs, 1, dtype=torch.int64),
+        transmits=torch.ones(runs, 1, PARTICLES, dtype=F64),
     )
     return objects, Noise(torch.full((runs, 2, 1), ETA, dtype=F64), torch.zeros(runs, 2, 1, dtype=F64))
 

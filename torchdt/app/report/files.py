@@ -74,12 +74,22 @@ def write_tracks_csv(
         raise ValueError(f"coordinates: found {len(coordinates)}, expected {history.state.shape[-1]} names")
     powers = [f"power_{tone}" for tone in range(1, history.power.shape[-1] + 1)]
     deviations = [f"std_{coordinate}" for coordinate in coordinates]
-    header = ("run", "step", "time_s", "label", "existence", *coordinates, *powers, *deviations)
+    header = (
+        "run",
+        "step",
+        "time_s",
+        "label",
+        "existence",
+        *coordinates,
+        *powers,
+        *deviations,
+        "transmission",
+    )
 
     index = history.declared.nonzero(as_tuple=True)
     run, step = (axis.tolist() for axis in index[:2])
     label, existence = history.label[index].tolist(), history.existence[index].tolist()
-    parts = history.state, history.power, history.state_std
+    parts = history.state, history.power, history.state_std, history.transmission[..., None]
     values = torch.cat([part[index].double() for part in parts], -1).T.tolist()
     time = seconds(times)
     rows = ((b, k, time[b][k], *row) for b, k, *row in zip(run, step, label, existence, *values, strict=True))

@@ -21,6 +21,7 @@ LAYOUT = {
     },
     "Objects": {
         "Existence": ["existence/.*"],
+        "Transmission": ["transmission/.*"],
         "Power (dB)": ["power_db/.*"],
         "Effective sample size": ["effective_sample_size/.*"],
     },
@@ -95,6 +96,7 @@ class TensorBoardReport(EventReport):
         self._add_tones("noise_db", estimate.noise, step)
         for slot, name in label_names(estimate).items():
             self.add_scalar(f"existence/{name}", estimate.existence[slot].item(), step)
+            self.add_scalar(f"transmission/{name}", estimate.transmission[slot].item(), step)
             self.add_scalar(
                 f"effective_sample_size/{name}", estimate.effective_sample_size[slot].item(), step
             )

@@ -128,6 +128,7 @@ class PointTracker:
         mean = self.region.wrap(weighted_mean(objects.particles.mT, objects.log_weight.unsqueeze(-2)))
         estimate = StepEstimate(
             existence=torch.sigmoid(objects.log_odds),
+            transmission=torch.ones_like(objects.log_odds),  # of points nobody knows
             declared=declared,
             label=label,
             position=mean[..., : self.region.num_coordinates],

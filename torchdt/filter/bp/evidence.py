@@ -160,7 +160,7 @@ def sampled_evidence(
 
     Args:
         prior: predicted objects, batch `(*batch, N)`; weights of the states need not be normalised.
-        response: `(*batch, N, I, P, M)` complex responses of their particles.
+        response: `(*batch, N, I, P, M)` complex responses of their particles; zero of silent ones.
         noise: predicted noise.
         measurement: statistics of the step, batch `(*batch,)`.
         configurations: S draws on the same support points.
@@ -182,7 +182,8 @@ def sampled_evidence(
     if diffuse is None:
         log_likelihood = noise_model.log_likelihood(per_sample, columns, variance)
     else:
-        weights = (exists.unsqueeze(-2) * power).movedim(-3, -1).to(columns.dtype)  # (*batch, I, S, N)
+        sent = exists * prior.transmits.gather(-1, state)
+        weights = (sent.unsqueeze(-2) * power).movedim(-3, -1).to(columns.dtype)  # (*batch, I, S, N)
         flat = diffuse.movedim(-4, -3).flatten(-2).to(columns.dtype)  # (*batch, I, N, M M)
         signal = columns @ columns.mH + (weights @ flat).unflatten(-1, diffuse.shape[-2:]).movedim(-4, -3)
         covariance = noise_model.covariance(signal, variance, per_sample.present)

@@ -16,7 +16,13 @@ from torch import Tensor
 from torchdt.core.trees import put, take, tree_map
 from torchdt.core.weights import weighted_mean
 from torchdt.filter.bp.messages import ObjectBelief, object_belief
-from torchdt.filter.bp.moments import response_moment, signal_covariance, signal_without_each, without
+from torchdt.filter.bp.moments import (
+    response_moment,
+    signal_covariance,
+    signal_without_each,
+    weighted_moment,
+    without,
+)
 from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement
@@ -52,10 +58,21 @@ def as_belief(objects: Objects) -> ObjectBelief:
 
 def initial_beliefs(prior: Objects, response: Tensor, noise: Noise, diffuse: Tensor | None = None) -> Beliefs:
     """Beliefs before any message: the predicted ones."""
-    moment = response_moment(response, prior.log_weight)
-    moment = moment if diffuse is None else moment + diffuse
+    weight = prior.log_weight.exp() * prior.transmits
+    moment = with_diffuse(weighted_moment(response, weight), weight.sum(-1), diffuse)
     power = prior.mean_power
     return Beliefs(as_belief(prior), noise, moment, prior.existence[..., None] * power, power, diffuse)
+
+
+def with_diffuse(moment: Tensor, transmission: Tensor, diffuse: Tensor | None) -> Tensor:
+    """Moments `(*batch, I, M, M)` of all that objects send, from those of their responses.
+
+    Args:
+        moment: of the responses.
+        transmission: `(*batch,)` probability that the object transmits.
+        diffuse: covariance of what it then sends beside its response, if anything.
+    """
+    return moment if diffuse is None else moment + transmission[..., None, None, None] * diffuse
 
 
 def strongest_first(strength: Tensor) -> Tensor:
@@ -89,19 +106,21 @@ def background(
     return noise_model.covariance(signal, beliefs.noise.mean, measurement.present)
 
 
-def store(beliefs: Beliefs, index: Tensor, slot: ObjectBelief, power: Tensor, moment: Tensor) -> Beliefs:
+def store(beliefs: Beliefs, index: Tensor, slot: ObjectBelief, prior: Objects, response: Tensor) -> Beliefs:
     """Put the new belief of one slot per batch element in its place, with its moments.
 
     Args:
         beliefs: of all objects.
         index: `(*batch,)` slots.
         slot: new belief.
-        power: `(*batch, I, G)` power support points.
-        moment: `(*batch, I, M, M)` of the modelled response.
+        prior: of all objects, on the particles of this step.
+        response: `(*batch, I, P, M)` of the particles; zero where they do not transmit.
     """
-    mean_power = weighted_mean(power, slot.log_power_weight)
+    mean_power = weighted_mean(take(prior.power, index), slot.log_power_weight)
+    moment = response_moment(response, slot.log_weight)
     if beliefs.diffuse is not None:
-        moment = moment + take(beliefs.diffuse, index)
+        transmission = weighted_mean(take(prior.transmits, index), slot.log_weight)
+        moment = with_diffuse(moment, transmission, take(beliefs.diffuse, index))
     strength = torch.sigmoid(slot.log_odds)[..., None] * mean_power
     return beliefs._replace(
         objects=tree_map(lambda old, new: put(old, index, new), beliefs.objects, slot),
@@ -153,10 +172,10 @@ class Sequential:
         for visit in range(int(prior.log_odds.isfinite().sum(-1).max())):
             index = order[..., visit]
             whitener = whiten(measurement, background(beliefs, measurement, index, noise_model=noise_model))
-            slot_response, slot_power = take(response, index), take(prior.power, index)
+            slot_response = take(response, index)
             slot_prior = tree_map(partial(take, index=index), as_belief(prior))
-            slot = object_belief(whitener, slot_response, slot_power, slot_prior)
-            beliefs = store(beliefs, index, slot, slot_power, response_moment(slot_response, slot.log_weight))
+            slot = object_belief(whitener, slot_response, take(prior.power, index), slot_prior)
+            beliefs = store(beliefs, index, slot, prior, slot_response)
         return beliefs
 
 
@@ -184,7 +203,7 @@ class Flooding:
         moment = response_moment(response, objects.log_weight)
         return beliefs._replace(
             objects=objects,
-            moment=moment if beliefs.diffuse is None else moment + beliefs.diffuse,
+            moment=with_diffuse(moment, weighted_mean(prior.transmits, objects.log_weight), beliefs.diffuse),
             strength=torch.sigmoid(objects.log_odds)[..., None] * power,
             power=power,
         )

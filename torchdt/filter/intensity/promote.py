@@ -90,7 +90,8 @@ def promote(
     support = _powers(level, power, undetected.settings, power_model, power_max, power_points)
     # Where there is none the logarithm has no derivative.
     log_odds = torch.where(odds > 0, torch.where(odds > 0, odds, 1.0).log(), -torch.inf)
-    one = Objects(state, log_weight, *support, log_odds, torch.zeros_like(odds, dtype=torch.int64))
+    label = torch.zeros_like(odds, dtype=torch.int64)
+    one = Objects(state, log_weight, *support, log_odds, label, torch.ones_like(log_weight))
     return tree_map(lambda t: t.unsqueeze(odds.ndim), one)
 
 
@@ -140,7 +141,8 @@ def give_back(
         along = ((objects.state[..., d + j] - low) / grid.edge[j]).floor().long()
         node = node * n + along.clamp(0, n - 1)
     # The level whose power is that of the tones, in the mean of their logarithms.
-    ratio = (objects.mean_power / power[..., None, :, 1]).log().mean(-1)
+    mean_power = objects.mean_power.clamp_min(torch.finfo(power.dtype).tiny)  # there may be none
+    ratio = (mean_power / power[..., None, :, 1]).log().mean(-1)
     level = (ratio / math.log(undetected.settings.step)).round().long().clamp(0, num_levels - 1)
     index = (node * num_levels + level[..., None]) * num_cells + region.cell_of(objects.state[..., :d])
     flat = intensity.flatten(-3).scatter_add(-1, index.flatten(-2), mass.flatten(-2).to(intensity))

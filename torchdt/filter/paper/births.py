@@ -93,4 +93,5 @@ def newborn(
         log_power_weight=torch.full_like(power, -math.log(num_powers)),
         log_odds=torch.where(region.contains(state).any(-1), log_odds, -torch.inf),
         label=torch.zeros_like(log_odds, dtype=torch.int64),
+        transmits=torch.ones_like(log_weight),
     )

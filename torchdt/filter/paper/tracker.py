@@ -146,6 +146,7 @@ class PaperTracker(Tracker[TrackerState]):
             log_power_weight=_even(power.shape, power),
             log_odds=self._idle.new_full(slots, -torch.inf),
             label=torch.zeros(slots, dtype=torch.int64, device=self._idle.device),
+            transmits=self._idle.new_ones((*slots, cfg.particles)),
         )
         along = torch.arange(cfg.noise_particles, dtype=power.dtype, device=power.device) + 0.5
         variance = priors.noise_max[..., None] * along / cfg.noise_particles
@@ -237,6 +238,7 @@ class PaperTracker(Tracker[TrackerState]):
             log_power_weight=_even(power.shape, power),
             log_odds=torch.where(self.region.contains(state).any(-1), log_odds, -torch.inf),
             label=old.label,
+            transmits=old.transmits,
         )
 
     def predict_noise(self, noise: Noise, draws: PaperDraws) -> Noise:

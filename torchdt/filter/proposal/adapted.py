@@ -67,6 +67,7 @@ class Adapted(Checked):
             extra_signal,
             gradient=gradient,
             noise_model=context.model.noise,
+            silent=predicted.silent,
         )
         return Placed(*placed)
 

@@ -4,21 +4,41 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
+import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torchdt.core.importance import Box
 from torchdt.core.random import RandomStreams
 from torchdt.core.resampling import Resampler
-from torchdt.filter.bp.schedule import Beliefs, Schedule, update
+from torchdt.filter.bp.schedule import Beliefs, Schedule, as_belief, update
 from torchdt.filter.context import StepContext
 from torchdt.filter.predict import Predicted
 from torchdt.filter.proposal.base import NewbornDensity
-from torchdt.filter.proposal.moved import Draws
+from torchdt.filter.proposal.moved import Draws, sent
 from torchdt.filter.proposal.neighbourhood import cell_around
 from torchdt.filter.slots import Placed
 from torchdt.filter.state import Objects
 from torchdt.model.motion.driving import Gradient
 from torchdt.model.region import Region
+
+DOUBT = 0.1
+"""Share of the particles that are drawn to transmit, and to be silent, at least."""
+
+
+def decide(objects: Objects, uniform: Tensor) -> Objects:
+    """Particles that transmit or do not, drawn with their probabilities; weights make up for `DOUBT`.
+
+    Args:
+        objects: as predicted, batch `(*batch, N)`.
+        uniform: `(*batch, N, P)` draws on [0, 1).
+    """
+    probability = objects.transmits
+    drawn = probability.detach().clamp(DOUBT, 1 - DOUBT)
+    transmits = uniform < drawn
+    log_ratio = torch.where(transmits, probability / drawn, (1 - probability) / (1 - drawn)).log()
+    log_weight = objects.log_weight + log_ratio
+    return objects._replace(log_weight=log_weight, transmits=transmits.to(log_weight))
 
 
 @dataclass(frozen=True)
@@ -43,8 +63,12 @@ class AsPredicted:
         schedule: Schedule,
         gradient: Gradient,
     ) -> Placed:
-        """They stay where they are."""
-        objects, response = predicted.objects, predicted.response
+        """They stay where they are; of those of an object that may be silent some are, see `decide`."""
+        objects = predicted.objects
+        if context.model.power.switch is not None:
+            uniform = torch.special.ndtr(draws.final[..., : objects.log_odds.shape[-1], :, 0])
+            objects = decide(objects, uniform)
+        response = sent(predicted.response, objects.transmits)
         first = update(
             objects,
             response,
@@ -52,7 +76,7 @@ class AsPredicted:
             context.measurement,
             sweeps=1,
             schedule=schedule,
-            initial=beliefs,
+            initial=beliefs._replace(objects=as_belief(objects)),
             noise_model=context.model.noise,
         )
         return Placed(objects, response, first)
@@ -73,5 +97,9 @@ class AsPredicted:
     def resample(self, objects: Objects, resampler: Resampler, streams: RandomStreams) -> Objects:
         """Equal weights where too few particles carry them."""
         draws = resampler.draw(streams, *objects.state.shape[-3:])
-        state, log_weight = resampler.resample(objects.state, objects.log_weight, draws)
-        return objects._replace(state=state, log_weight=log_weight)
+        # Whether it transmits is of a particle like its state; what roughens moves it to neither side.
+        both = torch.cat([objects.state, objects.transmits[..., None]], -1)
+        draws = draws._replace(jitter=pad(draws.jitter, (0, 1)))
+        state, log_weight = resampler.resample(both, objects.log_weight, draws)
+        transmits = (state[..., -1] > 0.5).to(log_weight)
+        return objects._replace(state=state[..., :-1], log_weight=log_weight, transmits=transmits)

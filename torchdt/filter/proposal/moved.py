@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
-from torchdt.core.importance import adapt
+from torchdt.core.importance import Gaussian, adapt
 from torchdt.core.mixture import GaussianMixture, deal, of_component
-from torchdt.core.trees import take, tree_map
+from torchdt.core.trees import put, take, tree_map
 from torchdt.core.weights import normalise, weighted_mean
 from torchdt.field.base import BaseField, Field
 from torchdt.filter.bp.messages import object_belief, state_message
-from torchdt.filter.bp.moments import response_moment
 from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.bp.schedule import Beliefs, as_belief, background, store
 from torchdt.filter.state import Objects
@@ -64,6 +64,11 @@ def respond(field: Field, state: Tensor) -> Tensor:
     return field(state).transpose(-3, -2)
 
 
+def sent(response: Tensor, transmits: Tensor) -> Tensor:
+    """Responses `(*batch, I, P, M)`, none where particles do not transmit, `(*batch, P)` zero or one."""
+    return response if bool(transmits.all()) else response * transmits[..., None, :, None]
+
+
 def diffuse_part(field: BaseField, state: Tensor, log_weight: Tensor) -> Tensor | None:
     """Diffuse covariance of objects at their mean states, `(*batch, P, D)` to `(*batch, I, M, M)`, if any."""
     return field.diffuse(weighted_mean(state.mT, log_weight[..., None, :]))
@@ -81,6 +86,7 @@ def propose_adapted(
     *,
     gradient: Gradient = SCORE,
     noise_model: NoiseModel = WHITE,
+    silent: GaussianMixture | None = None,
 ) -> tuple[Objects, Tensor, Beliefs]:
     """Redraw the particles of every object where prediction and likelihood meet.
 
@@ -98,13 +104,15 @@ def propose_adapted(
         extra_signal: `(*batch, I, M, M)` covariance of signals that are no objects yet.
         gradient: how the particles depend on the prediction.
         noise_model: what the noise makes of the covariance of the data.
+        silent: what `density` is of objects that do not transmit; their particles are as predicted.
 
     Returns:
         The objects with new particles; their responses `(*batch, N, I, P, M)`; beliefs after this first
         sequential sweep.
     """
+    transmitting, density = density.mean.shape[-2], density.joined(silent)
     log_inside = _log_inside(region, density, draws.rounds, gradient)
-    states, log_weights, responses = [], [], []
+    states, log_weights, responses, objects = [], [], [], predicted
     num_objects = predicted.log_odds.shape[-1]
     for slot in range(num_objects):
         index = torch.full_like(predicted.label[..., 0], slot)
@@ -116,7 +124,8 @@ def propose_adapted(
             return state_message(whitener, respond(field, state), power, slot_prior.log_power_weight)  # noqa: B023
 
         prediction = GaussianMixture(*(take(t, index) for t in density))
-        drawn = draw_adapted(log_likelihood, prediction, take(draws.rounds, index), take(draws.final, index))
+        normal = take(draws.rounds, index), take(draws.final, index)
+        drawn = draw_adapted(log_likelihood, prediction, *normal, transmitting)
         component = drawn.component
 
         def log_density(state: Tensor) -> Tensor:
@@ -130,14 +139,16 @@ def propose_adapted(
         log_weight = log_prior - drawn.log_proposal
         # Given that the object is still in the region; that it left is in the predicted existence.
         log_weight = drop_outside(state, log_weight, region) - take(log_inside, index)[..., None]
-        response = respond(field, state)
+        transmits = (component < transmitting).to(log_weight)
+        response = sent(respond(field, state), transmits)
         belief = object_belief(whitener, response, power, slot_prior._replace(log_weight=log_weight))
-        beliefs = store(beliefs, index, belief, power, response_moment(response, belief.log_weight))
+        objects = objects._replace(transmits=put(objects.transmits, index, transmits))
+        beliefs = store(beliefs, index, belief, objects, response)
         states.append(state)
         log_weights.append(log_weight)
         responses.append(response)
     batch_dims = predicted.log_odds.ndim - 1
-    objects = predicted._replace(
+    objects = objects._replace(
         state=torch.stack(states, batch_dims), log_weight=torch.stack(log_weights, batch_dims)
     )
     return objects, torch.stack(responses, batch_dims), beliefs
@@ -164,7 +175,11 @@ def _log_inside(region: Region, density: GaussianMixture, rounds: Tensor, gradie
 
 @torch.no_grad()
 def draw_adapted(
-    log_likelihood: Callable[[Tensor], Tensor], predicted: GaussianMixture, rounds: Tensor, final: Tensor
+    log_likelihood: Callable[[Tensor], Tensor],
+    predicted: GaussianMixture,
+    rounds: Tensor,
+    final: Tensor,
+    transmitting: int,
 ) -> Drawn:
     """Particles where a predicted mixture and a likelihood meet.
 
@@ -173,34 +188,38 @@ def draw_adapted(
         predicted: of the state.
         rounds: `(*batch, rounds, S, d)` standard normal draws.
         final: `(*batch, P, D)` standard normal draws.
+        transmitting: number of components of which the likelihood speaks, the first; the others are drawn as
+            predicted.
     """
-    d, (number, entries), components = rounds.shape[-1], final.shape[-2:], predicted.log_weight.shape[-1]
+    d, (number, entries) = rounds.shape[-1], final.shape[-2:]
     prior = predicted.marginal(d).components
-
-    # With L = [[A, 0], [B, C]] the rates given the position are N(m_v + B A^-1 (p - m_p), C C^T).
-    def with_rates(position: Tensor, white_rate: Tensor) -> tuple[Tensor, Tensor]:
-        white = torch.cat([prior.whiten(position), white_rate], -1)
-        return torch.cat([position, predicted.components.sample(white)[..., d:]], -1), white
+    heard = GaussianMixture(
+        predicted.log_weight[..., :transmitting],
+        predicted.mean[..., :transmitting, :],
+        predicted.tril[..., :transmitting, :, :],
+    )
 
     def at_mean_rates(position: Tensor) -> Tensor:
-        middle = position.new_zeros(*position.shape[:-1], entries - d)
-        state, _ = with_rates(position, middle)
+        state, _ = _with_rates(heard, position, position.new_zeros(*position.shape[:-1], entries - d))
         return log_likelihood(state.flatten(-3, -2)).unflatten(-1, state.shape[-3:-1])
 
-    each = (*rounds.shape[:-3], components)
-    draws = rounds.movedim(-3, 0).unsqueeze(-3)
-    proposal, log_evidence = adapt(at_mean_rates, prior, draws.expand(-1, *each, -1, -1))
+    draws = rounds.movedim(-3, 0).unsqueeze(-3).expand(-1, *heard.mean.shape[:-1], -1, -1)
+    proposal, log_evidence = adapt(at_mean_rates, heard.marginal(d).components, draws)
+    fitted = Gaussian(
+        torch.cat([proposal.fitted.mean, prior.mean[..., transmitting:, :]], -2),
+        torch.cat([proposal.fitted.tril, prior.tril[..., transmitting:, :, :]], -3),
+    )
+    # Of silence the ratio of likelihoods is one.
+    log_evidence = pad(log_evidence, (0, predicted.log_weight.shape[-1] - transmitting))
     strata = deal(_shares(predicted.log_weight, log_evidence, proposal.share), number)
     # All components draw every particle, and it is that of its own.
-    final = final.unsqueeze(-3).expand(*each, -1, -1)
+    final = final.unsqueeze(-3).expand(*prior.mean.shape[:-1], -1, -1)
     size = strata.size.to(final.dtype)
     num_prior = (proposal.share * size).round().clamp_min(1)
     as_prior = strata.rank.unsqueeze(-2) < num_prior[..., None]
-    position = torch.where(
-        as_prior[..., None], prior.sample(final[..., :d]), proposal.fitted.sample(final[..., :d])
-    )
-    state, white = with_rates(position, final[..., d:])
-    log_position, log_fitted = prior.log_prob(position), proposal.fitted.log_prob(position)
+    position = torch.where(as_prior[..., None], prior.sample(final[..., :d]), fitted.sample(final[..., :d]))
+    state, white = _with_rates(predicted, position, final[..., d:])
+    log_position, log_fitted = prior.log_prob(position), fitted.log_prob(position)
     log_state = predicted.components.log_prob(state)
     num_fitted = size - num_prior
     log_drawn = torch.logaddexp(
@@ -210,6 +229,14 @@ def draw_adapted(
     parts = (state, white, log_state, log_proposal)
     state, white, log_prior, log_proposal = (of_component(t, strata.component) for t in parts)
     return Drawn(state, strata.component, white, log_prior, log_proposal)
+
+
+def _with_rates(predicted: GaussianMixture, position: Tensor, white_rate: Tensor) -> tuple[Tensor, Tensor]:
+    """States and their standard normal draws, from positions `(*batch, K, S, d)` and draws of the rest."""
+    # With L = [[A, 0], [B, C]] the rates given the position are N(m_v + B A^-1 (p - m_p), C C^T).
+    d = position.shape[-1]
+    white = torch.cat([predicted.marginal(d).components.whiten(position), white_rate], -1)
+    return torch.cat([position, predicted.components.sample(white)[..., d:]], -1), white
 
 
 def _shares(log_weight: Tensor, log_evidence: Tensor, share: float) -> Tensor:

@@ -95,4 +95,7 @@ def propose_newborn(
     log_weight = drop_foreign(position, log_weight, places, picks.active, region)
     odds = torch.where(picks.active, log_odds, -torch.inf)
     label = torch.zeros(picks.active.shape, dtype=torch.int64, device=state.device)
-    return Objects(state, log_weight, power, log_power_weight, odds, label), respond(field, state)
+    # What is found transmits.
+    transmits = torch.ones_like(log_weight)
+    objects = Objects(state, log_weight, power, log_power_weight, odds, label, transmits)
+    return objects, respond(field, state)

@@ -1,10 +1,28 @@
 """Transmit powers: what a model of them must offer."""
 
-from typing import Protocol, Self, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 from torch import Tensor
 
+from torchdt.model.part import append_dims
 from torchdt.model.region import Region
+
+
+class Switch(NamedTuple):
+    """A Markov chain of two states: an object transmits, or is silent.
+
+    Attributes:
+        falls_silent: `(*batch,)` probability per step of the one that transmits.
+        resumes: `(*batch,)` probability per step of the one that is silent.
+    """
+
+    falls_silent: Any
+    resumes: Any
+
+    def predict(self, transmits: Tensor) -> Tensor:
+        """Probability of transmission one step later, `(*batch, ...)` like the one before."""
+        falls, resumes = (append_dims(rate, transmits.ndim - rate.ndim) for rate in self)
+        return transmits * (1 - falls) + (1 - transmits) * resumes
 
 
 @runtime_checkable
@@ -13,6 +31,11 @@ class PowerModel(Protocol):
 
     All of batch `(*batch,)`, where a number of the model of shape `(*batch,)` stands for all that follows.
     """
+
+    @property
+    def switch(self) -> Switch | None:
+        """How all tones of an object fall silent together and resume; None where they never do."""
+        ...
 
     def initial(self, maximum: Tensor, num_points: int) -> tuple[Tensor, Tensor]:
         """Support points and log-weights `(*batch, G)` before anything is known.

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchdt.model.gamma_chain import SHAPE, log_walk, predict_chain, uniform_prior, uniform_prior_around
 from torchdt.model.part import Number, Part, append_dims, number
+from torchdt.model.power.base import Switch
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,11 @@ class GammaPower(Part):
     KEY: ClassVar[str] = "model.power"
 
     power_shape: Number = number(1e4, SHAPE)
+
+    @property
+    def switch(self) -> Switch | None:
+        """Objects transmit in every step."""
+        return None
 
     def initial(self, maximum: Tensor, num_points: int) -> tuple[Tensor, Tensor]:
         """The uniform prior, see `uniform_prior`."""

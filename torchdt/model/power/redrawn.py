@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchdt.core.support import UP_TO_ONE
 from torchdt.model.part import Number, Part, append_dims, number
+from torchdt.model.power.base import Switch
 
 LOWEST, HIGHEST = 1e-4, 10.0
 """Powers over their mean between which support points are spread; a power lies below with a
@@ -27,6 +28,11 @@ class RedrawnPower(Part):
     KEY: ClassVar[str] = "model.power"
 
     mean_share: Number = number(0.25, UP_TO_ONE)
+
+    @property
+    def switch(self) -> Switch | None:
+        """Objects transmit in every step."""
+        return None
 
     def initial(self, maximum: Tensor, num_points: int) -> tuple[Tensor, Tensor]:
         """The density in bins evenly spaced in the logarithm, an open one at each end."""
