@@ -46,7 +46,8 @@ class Objects(NamedTuple):
     def transmission(self) -> Tensor:
         """Probability that the object transmits in one tone at least, given that it exists, `(*batch, N)`."""
         nothing = torch.where(self.power > 0, 0.0, self.log_power_weight.exp()).sum(-1).prod(-1)
-        return weighted_mean(self.transmits, self.log_weight) * (1 - nothing)
+        # One less what is silent: exactly one where nothing is.
+        return (1 - weighted_mean(1 - self.transmits, self.log_weight)) * (1 - nothing)
 
 
 class TrackerState(NamedTuple):

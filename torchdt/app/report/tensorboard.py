@@ -39,8 +39,8 @@ class TensorBoardReport(EventReport):
     """Writes one tracked sequence into event files, while it is tracked or afterwards.
 
     The tags of every step: `gospa/total`, `gospa/localisation`, `gospa/missed`, `gospa/false`,
-    `count/declared`, `count/true`, `existence/label_03`, `effective_sample_size/label_03`,
-    `power_db/label_03/tone_1`, `noise_db/tone_1`, `log_evidence`.
+    `count/declared`, `count/true`, `existence/label_03`, `transmission/label_03`,
+    `effective_sample_size/label_03`, `power_db/label_03/tone_1`, `noise_db/tone_1`, `log_evidence`.
 
     Those of every `interval`-th step: the histograms `belief/existence`, of all potential objects, and
     `belief/power_db/label_03`, of all tones, each of weight one, as uncertain as the tracker is; and the
