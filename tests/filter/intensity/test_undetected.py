@@ -9,8 +9,9 @@ from oracles.line_array import make_tracker, simulate
 from torchdt.core.random import RandomStreams
 from torchdt.core.trees import tree_map
 from torchdt.filter.bp.rank_one import whiten
+from torchdt.field.wrapped import WrappedField
 from torchdt.filter.context import StepContext
-from torchdt.filter.intensity.settings import Ignored, Intensity
+from torchdt.filter.intensity.settings import UNKNOWN, Ignored, Intensity
 from torchdt.filter.intensity.undetected import doubted
 from torchdt.filter.likelihood import log_likelihood
 from torchdt.filter.proposal.cells import Unexplained, cell_statistics
@@ -162,3 +163,17 @@ def test_an_object_that_is_dropped_leaves_its_odds():
     assert left < prune < existence
     gained = state.undetected.sum() - survival * before
     assert gained == pytest.approx(left / (1 - left) + 1e-4, rel=0.01)
+
+
+def test_what_is_unexplained_is_asked_of_the_field():
+    """A waveguide has a share of mismatch for it; plane waves know nothing of their errors."""
+    state = torch.tensor([[5.0]], dtype=torch.float64)
+    plane = make_tracker().field
+
+    class Scattering(WrappedField):
+        def incoherent(self, state):
+            return torch.eye(8, dtype=torch.complex128).expand(*state.shape[:-1], 2, 8, 8)
+
+    assert Intensity().unexplained(plane, state) == UNKNOWN
+    assert Intensity().unexplained(Scattering(plane), state) == 0
+    assert Intensity(leftover=0.3).unexplained(Scattering(plane), state) == 0.3

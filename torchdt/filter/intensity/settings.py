@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchdt.core.ranges import Checked, Count, InnerProbability, Nats, Positive, Range, Share
+from torchdt.field.base import BaseField, of_each
 from torchdt.filter.intensity.grid import lay_grid
 from torchdt.filter.intensity.undetected import Undetected
 from torchdt.filter.proposal.dictionary import Dictionary
@@ -50,6 +51,10 @@ class Ignored(Checked):
         return 0
 
 
+UNKNOWN = 0.1
+"""Share of an object's power that is not where a field says that knows nothing of its errors."""
+
+
 @dataclass(frozen=True)
 class Intensity(Checked):
     """Settings of the intensity of undetected objects.
@@ -61,7 +66,8 @@ class Intensity(Checked):
         step_nats: most that one step can add to the logarithm of the intensity: what says more is seen
             without it, or is nothing that the model explains.
         leftover: share of the power of known objects that their responses may leave unexplained: errors of
-            phase of 18 degrees, echoes. So much counts as noise here. Zero where the field is known exactly.
+            phase of 18 degrees, echoes. So much counts as noise here. None: nothing where the field knows how
+            its response scatters, since `TrackerConfig.mismatch_share` then says it, and `UNKNOWN` elsewhere.
         promote: existence probability above which a neighbourhood becomes a potential object.
         alike: share of a response's energy that another explains, from which on both are one neighbourhood.
         hypotheses: number of cells times levels times rates, at most; a region whose cells and levels alone
@@ -74,10 +80,16 @@ class Intensity(Checked):
     lowest: Positive = 0.1
     highest: Positive = 10.0
     step_nats: Nats = 10.0
-    leftover: Share = 0.1
+    leftover: Share | None = None
     promote: InnerProbability = 0.2
     alike: InnerProbability = 0.5
     hypotheses: Annotated[int, Range("a positive integer", low=1, most=1e9, whole=True)] = 1_000_000
+
+    def unexplained(self, field: BaseField, state: Tensor) -> float:
+        """`leftover` of a field, which is asked at any state."""
+        if self.leftover is not None:
+            return self.leftover
+        return UNKNOWN if field.incoherent(of_each(field, state)) is None else 0.0
 
     def level(self, like: Tensor) -> Tensor:
         """The levels, `(L,)`, evenly spaced in the logarithm."""

@@ -99,9 +99,10 @@ class Undetected:
         most, new = self.settings.step_nats, torch.arange(kept.shape[-1], device=kept.device) >= known
 
         def updated(left: Unexplained) -> tuple[Tensor, Tensor, Tensor]:
-            left = doubted(context, left, self.settings.leftover)
-            power, share = tone_powers(context, left.noise, self.moment, self.settings)
-            ratio = log_ratio(context, left, power, share)
+            share = self.settings.unexplained(context.field, self.dictionary.points[:1])
+            left = doubted(context, left, share)
+            power, level_share = tone_powers(context, left.noise, self.moment, self.settings)
+            ratio = log_ratio(context, left, power, level_share)
             return power, *update_intensity(predicted, ratio, model.likelihood_power, most)
 
         power, after, log_evidence = updated(residual)
