@@ -8,8 +8,8 @@ from oracles.line_array import make_tracker, simulate
 
 from torchdt.core.random import RandomStreams
 from torchdt.core.trees import tree_map
-from torchdt.filter.bp.rank_one import whiten
 from torchdt.field.wrapped import WrappedField
+from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.context import StepContext
 from torchdt.filter.intensity.settings import UNKNOWN, Ignored, Intensity
 from torchdt.filter.intensity.undetected import doubted
