@@ -17,6 +17,7 @@ from torchdt.core.ranges import (
 )
 from torchdt.core.resampling import Resampler, Systematic
 from torchdt.filter.bp.evidence import Evidence, SampledEvidence
+from torchdt.filter.bp.marginals import Joint, Marginals
 from torchdt.filter.bp.schedule import Schedule, Sequential
 from torchdt.filter.intensity.settings import Intensity, UndetectedModel
 from torchdt.filter.proposal.adapted import Adapted
@@ -27,6 +28,7 @@ PARTS: Mapping[str, Any] = {
     "resampler": Resampler,
     "schedule": Schedule,
     "proposal": Proposal,
+    "marginals": Marginals,
     "undetected": UndetectedModel,
     "evidence": Evidence,
     "gradient": Gradient,
@@ -34,7 +36,7 @@ PARTS: Mapping[str, Any] = {
 """Settings that are objects, and the protocol of each."""
 
 if not TYPE_CHECKING:  # configurations have no protocols
-    Evidence = Gradient = Proposal = Resampler = Schedule = UndetectedModel = Any
+    Evidence = Gradient = Marginals = Proposal = Resampler = Schedule = UndetectedModel = Any
 
 
 @dataclass
@@ -89,6 +91,7 @@ class TrackerConfig(ObjectConfig):
             and transmission together have to be probable.
         mismatch_share: share of each tone's energy that responses do not cover, where the field knows how its
             response scatters; None leaves it to the calibration.
+        marginals: of objects that overlap: from joint configurations, or as the messages leave them.
         undetected: intensity of undetected objects, from which births rest on many steps; or nothing.
         evidence: how log p(z_k | z_1..k-1) is estimated.
         gradient: of the likelihood through motion: particles stay and weights move, or particles move.
@@ -104,6 +107,7 @@ class TrackerConfig(ObjectConfig):
     proposal: Proposal = field(default_factory=Adapted)
     report_silent: bool = True
     mismatch_share: list[InnerProbability] | None = None
+    marginals: Marginals = field(default_factory=Joint)
     undetected: UndetectedModel = field(default_factory=Intensity)
     evidence: Evidence = field(default_factory=SampledEvidence)
     gradient: Gradient = field(default_factory=Score)

@@ -45,6 +45,7 @@ class StepDraws(NamedTuple):
         known, newborn: of the proposals for known and new objects.
         picks: `(*batch, Q, rounds, S, d)` standard normal, for refining picks.
         evidence: of its estimate.
+        marginals: of objects that overlap.
     """
 
     driving: Tensor
@@ -52,6 +53,7 @@ class StepDraws(NamedTuple):
     newborn: Draws
     picks: Tensor
     evidence: Any
+    marginals: Any
 
 
 class DirectTracker(Tracker[TrackerState]):
@@ -204,6 +206,7 @@ class DirectTracker(Tracker[TrackerState]):
             initial=current.beliefs,
             noise_model=model.noise,
         )
+        beliefs = cfg.marginals.refine(context, predicted, current, beliefs, draws.marginals)
         context = context._replace(measurement=measurement)
         log_evidence = self.evidence(context, predicted, current, beliefs, draws.evidence)
         objects, undetected = posterior(current.objects, beliefs), state.undetected
@@ -238,6 +241,7 @@ class DirectTracker(Tracker[TrackerState]):
             Draws(streams.normal(cfg.births, *size), streams.normal(cfg.births, cfg.particles, entries)),
             streams.normal(cfg.births, *size),
             cfg.evidence.draw(streams, cfg.slots, cfg.births, self.field.num_tones),
+            cfg.marginals.draw(streams, cfg.slots, cfg.births, self.field.num_tones),
         )
 
     def predict(self, state: TrackerState, draws: Tensor) -> Predicted:

@@ -88,7 +88,12 @@ class Configurations(NamedTuple):
 
 
 def log_probability(objects: ObjectBelief, exists: Tensor, state: Tensor, power: Tensor) -> Tensor:
-    """Log-probability of configurations of the objects under independent beliefs, `(*batch, S)`.
+    """Log-probability of configurations of the objects under independent beliefs, `(*batch, S)`."""
+    return log_probability_of_each(objects, exists, state, power).sum(-2)
+
+
+def log_probability_of_each(objects: ObjectBelief, exists: Tensor, state: Tensor, power: Tensor) -> Tensor:
+    """Log-probability of what configurations say of each object, `(*batch, N, S)`.
 
     Args:
         objects: beliefs of batch `(*batch, N)`.
@@ -96,12 +101,16 @@ def log_probability(objects: ObjectBelief, exists: Tensor, state: Tensor, power:
     """
     log_r, log_not = logsigmoid(objects.log_odds)[..., None], logsigmoid(-objects.log_odds)[..., None]
     inside = objects.log_weight.gather(-1, state) + objects.log_power_weight.gather(-1, power).sum(-2)
-    return torch.where(exists, log_r + inside, log_not).sum(-2)
+    return torch.where(exists, log_r + inside, log_not)
 
 
 @torch.no_grad()
 def draw_configurations(
-    labellings: Sequence[ObjectBelief], active: Tensor, noise: Noise, draws: UniformDraws
+    labellings: Sequence[ObjectBelief],
+    active: Tensor,
+    noise: Noise,
+    draws: UniformDraws,
+    doubt: float = DOUBT,
 ) -> Configurations:
     """Draw from a mixture of beliefs, a fixed number of configurations from each.
 
@@ -111,32 +120,44 @@ def draw_configurations(
         active: `(*batch, C)` bool, the components in use; the first always is.
         noise: belief of the noise.
         draws: uniform draws for S configurations.
+        doubt: see `DOUBT`.
     """
-    size = draws.noise.shape[-1]
-    rank = torch.arange(size, device=active.device) * active.sum(-1, keepdim=True) // size
-    component = torch.sort(active, dim=-1, descending=True, stable=True).indices.gather(-1, rank)
+    component = _component(active, draws.noise.shape[-1])
     exists, state, power = (torch.zeros_like(d, dtype=torch.int64) for d in draws[:3])
     proposals = []
     for c, labelling in enumerate(labellings):
-        doubtful = _doubt(labelling.log_odds)
+        hedged = doubtful(labelling, doubt)
         chosen = (component == c).unsqueeze(-2)
-        there = (draws.existence < torch.sigmoid(doubtful)[..., None]).long()
+        there = (draws.existence < torch.sigmoid(hedged.log_odds)[..., None]).long()
         exists = torch.where(chosen, there, exists)
         state = torch.where(chosen, invert_cumulative(labelling.log_weight, draws.state), state)
         index = invert_cumulative(labelling.log_power_weight, draws.power)
         power = torch.where(chosen.unsqueeze(-2), index, power)
-        proposals.append(labelling._replace(log_odds=doubtful))
+        proposals.append(hedged)
     level = invert_cumulative(noise.log_weight, draws.noise)
     density = torch.stack([log_probability(p, exists.bool(), state, power) for p in proposals], -1)
-    share = torch.stack([(component == c).sum(-1).to(density) / size for c in range(len(labellings))], -1)
-    log_proposal = torch.logsumexp(density + share.log().unsqueeze(-2), -1)
+    log_proposal = torch.logsumexp(density + log_shares(active, component.shape[-1]).unsqueeze(-2), -1)
     log_proposal = log_proposal + noise.log_weight.gather(-1, level).sum(-2)
     return Configurations(exists.bool(), state, power, level, log_proposal)
 
 
-def _doubt(log_odds: Tensor) -> Tensor:
-    r = torch.sigmoid(log_odds).clamp(DOUBT, 1 - DOUBT)
-    return torch.where(log_odds.isneginf(), -torch.inf, torch.logit(r))
+def _component(active: Tensor, size: int) -> Tensor:
+    """The labelling that each of S configurations is drawn from, `(*batch, S)`: `(*batch, C)` in turn."""
+    rank = torch.arange(size, device=active.device) * active.sum(-1, keepdim=True) // size
+    return torch.sort(active, dim=-1, descending=True, stable=True).indices.gather(-1, rank)
+
+
+def log_shares(active: Tensor, size: int) -> Tensor:
+    """Log of the share of S configurations that each labelling gets, `(*batch, C)`."""
+    component = torch.arange(active.shape[-1], device=active.device)
+    number = (_component(active, size)[..., None] == component).sum(-2)
+    return (number / size).log()
+
+
+def doubtful(belief: ObjectBelief, doubt: float) -> ObjectBelief:
+    """A belief that is sure of neither existence nor absence, but for objects that cannot exist."""
+    r = torch.sigmoid(belief.log_odds).clamp(doubt, 1 - doubt)
+    return belief._replace(log_odds=torch.where(belief.log_odds.isneginf(), -torch.inf, torch.logit(r)))
 
 
 @torch.no_grad()
