@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -195,17 +196,14 @@ def evidence(scene: Scene, beliefs: Beliefs, seed: int, samples: int = 64) -> Te
     return sampled_evidence(scene.prior, scene.response, scene.noise, scene.measurement, drawn)
 
 
-METHODS = {"flooding": Flooding(), "sequential": Sequential()}
-
-
 class Errors(NamedTuple):
     """Of the marginals of one scene.
 
     Attributes:
         existence: `(N,)` believed less exact.
         exact: `(N,)` existence.
-        variation: `(N,)` total variation of states, given existence.
-        log_evidence: believed less exact.
+        variation: `(N,)` total variation of the states, given existence.
+        log_evidence: estimated less exact.
     """
 
     existence: Tensor
@@ -220,3 +218,35 @@ def errors(scene: Scene, exact: Exact, beliefs: Beliefs, seed: int) -> Errors:
     variation = 0.5 * (found.log_weight.exp() - exact.state).abs().sum(-1)
     error = torch.sigmoid(found.log_odds) - exact.existence
     return Errors(error, exact.existence, variation, evidence(scene, beliefs, seed) - exact.log_evidence)
+
+
+def all_errors(scene: Scene, seed: int) -> dict[str, Errors]:
+    """Of every method, by name."""
+    exact, sequential = enumerate_scene(scene), messages(scene, Sequential())
+    beliefs = {
+        "flooding": messages(scene, Flooding()),
+        "sequential": sequential,
+        "sequential, 12 sweeps": messages(scene, Sequential(), 12),
+        "joint": joint(scene, sequential, seed),
+    }
+    return {name: errors(scene, exact, belief, seed) for name, belief in beliefs.items()}
+
+
+def summary(found: Sequence[Errors]) -> list[float]:
+    """Mean and rms error of existence, share on the wrong side of a half, variation of states, evidence.
+
+    The median over the states of objects that may be there; of the evidence the median error and the rms.
+    """
+    error, exact, variation, evidence = (
+        torch.cat([torch.atleast_1d(t) for t in part]) for part in zip(*found, strict=True)
+    )
+    wrong = (exact > 0.5) != (exact + error > 0.5)
+    numbers = (
+        error.mean(),
+        error.square().mean().sqrt(),
+        wrong.double().mean(),
+        variation[exact > 0.05].median() if bool((exact > 0.05).any()) else torch.tensor(torch.nan),
+        evidence.abs().median(),
+        evidence.square().mean().sqrt(),
+    )
+    return [float(x) for x in numbers]

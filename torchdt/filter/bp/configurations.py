@@ -136,7 +136,7 @@ def draw_configurations(
         proposals.append(hedged)
     level = invert_cumulative(noise.log_weight, draws.noise)
     density = torch.stack([log_probability(p, exists.bool(), state, power) for p in proposals], -1)
-    log_proposal = torch.logsumexp(density + log_shares(active, component.shape[-1]).unsqueeze(-2), -1)
+    log_proposal = log_mixture(density, active)
     log_proposal = log_proposal + noise.log_weight.gather(-1, level).sum(-2)
     return Configurations(exists.bool(), state, power, level, log_proposal)
 
@@ -147,11 +147,17 @@ def _component(active: Tensor, size: int) -> Tensor:
     return torch.sort(active, dim=-1, descending=True, stable=True).indices.gather(-1, rank)
 
 
-def log_shares(active: Tensor, size: int) -> Tensor:
-    """Log of the share of S configurations that each labelling gets, `(*batch, C)`."""
-    component = torch.arange(active.shape[-1], device=active.device)
-    number = (_component(active, size)[..., None] == component).sum(-2)
-    return (number / size).log()
+def log_mixture(log_density: Tensor, active: Tensor) -> Tensor:
+    """Log-density of the mixture that S configurations are drawn from, `(*batch, S)`.
+
+    Args:
+        log_density: `(*batch, S, C)` of each labelling.
+        active: `(*batch, C)` bool, those in use.
+    """
+    size, num = log_density.shape[-2:]
+    drawn = _component(active, size)[..., None] == torch.arange(num, device=active.device)
+    share = drawn.sum(-2, keepdim=True).to(log_density) / size
+    return torch.logsumexp(log_density + share.log(), -1)
 
 
 def doubtful(belief: ObjectBelief, doubt: float) -> ObjectBelief:

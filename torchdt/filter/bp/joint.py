@@ -27,8 +27,8 @@ from torchdt.filter.bp.configurations import (
     doubtful,
     draw_configurations,
     labellings,
+    log_mixture,
     log_probability_of_each,
-    log_shares,
 )
 from torchdt.filter.bp.messages import ObjectBelief, object_belief
 from torchdt.filter.bp.moments import signal_covariance
@@ -112,7 +112,6 @@ def joint_marginals(
         each = [log_probability_of_each(q, drawn.exists, drawn.state, drawn.power) for q in proposals]
         log_q = torch.stack(each, -1)
     log_p = log_probability_of_each(before, drawn.exists, drawn.state, drawn.power)
-    share = log_shares(active, log_p.shape[-1]).unsqueeze(-2)
     result, dim, per_sample = beliefs, prior.log_odds.ndim - 1, measurement.unsqueeze()
     exact = per_sample._replace(factor=per_sample.factor.to(torch.complex128))
     for n in range(prior.log_odds.shape[-1]):
@@ -130,7 +129,7 @@ def joint_marginals(
             gaussian_log_likelihood(exact, covariance).sum(-1)
             + log_ratio
             + torch.where(left, log_p, 0.0).sum(-2)
-            - torch.logsumexp(log_density + share, -1)
+            - log_mixture(log_density, active)
         )
         marginal = _mixture(given, normalise(log_weight)[0].to(log_ratio))
         index = torch.full_like(prior.label[..., 0], n)
