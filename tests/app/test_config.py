@@ -27,8 +27,11 @@ def test_default_configuration_is_the_paper_scenario(settings):
     assert (s.scenario.num_steps, s.scenario.step_s, s.scenario.num_snapshots) == (292, 3 * 2048 / 1500, 3)
     tracker = s.tracker
     assert (tracker.declare, tracker.prune, tracker.births) == (0.5, 1e-2, 10)
-    numbers = {"survival": 0.95, "birth_mean": 1e-4, "power_shape": 1e4, "noise_shape": 1e2}
-    assert s.statistical_model.known() == numbers | {"likelihood_power": 1.0}
+    numbers = {"birth_mean": 1e-4, "power_shape": 1e4, "noise_shape": 1e2, "likelihood_power": 1.0}
+    switched = {"survival": 0.9994, "falls_silent": 0.008, "resumes": 0.28}
+    assert s.statistical_model.known() == numbers | switched
+    plain = settings("model=default", small=False).statistical_model
+    assert plain.known() == numbers | {"survival": 0.95}
     assert (s.scenario.gospa_cutoff, s.scenario.gospa_order) == (200, 1)
 
 

@@ -93,6 +93,7 @@ def test_tracks_table(run):
     assert run.columns("tracks.csv") == (
         ["run", "step", "time_s", "label", "existence", *LINE_ARRAY_COLUMNS, "power_1", "power_2"]
         + [f"std_{column}" for column in LINE_ARRAY_COLUMNS]
+        + ["transmission"]
     )
     rows = run.rows("tracks.csv")
     declared = [int(row["num_estimated"]) for row in run.rows("gospa.csv")]
@@ -109,6 +110,7 @@ def test_tracks_table_of_a_waveguide(waveguide):
     assert waveguide.columns("tracks.csv") == (
         ["run", "step", "time_s", "label", "existence", *WAVEGUIDE_COLUMNS, *powers]
         + [f"std_{column}" for column in WAVEGUIDE_COLUMNS]
+        + ["transmission"]
     )
 
 

@@ -25,6 +25,10 @@ STARTS = {
         *("tune", *SMALL, "logging=quiet", "train_seeds=[0]", "heldout_seeds=[1]"),
         *("tuning.steps=1", "tuning.slice_points=0"),
     ),
+    "silences": (
+        *("tune", *SMALL, "logging=quiet", "scenario.num_steps=5", "train_seeds=[0]", "heldout_seeds=[1]"),
+        "tuning.steps=1",
+    ),
     "detection": (
         *("detection", "scene=line_faint", 'overrides=["scenario.num_steps=5","tracker.particles=50"]'),
         *(
@@ -44,6 +48,7 @@ RESULTS = {
     "suite": "quality.json",
     "monte_carlo": "compare.json",
     "tuning": "tuned.yaml",
+    "silences": "tuned.yaml",
     "detection": "detection.json",
 }
 

@@ -37,7 +37,11 @@ def test_scalars(tmp_path, history, score):
     labels = ("label_03", "label_12")
     expected = {f"gospa/{part}" for part in ("total", "localisation", "missed", "false")}
     expected |= {"count/declared", "count/true", "log_evidence", "noise_db/tone_1", "noise_db/tone_2"}
-    expected |= {f"{kind}/{label}" for kind in ("existence", "effective_sample_size") for label in labels}
+    expected |= {
+        f"{kind}/{label}"
+        for kind in ("existence", "transmission", "effective_sample_size")
+        for label in labels
+    }
     expected |= {f"power_db/{label}/tone_{tone}" for label in labels for tone in (1, 2)}
     assert set(events.Tags()["scalars"]) == expected
 

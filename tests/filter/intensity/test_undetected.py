@@ -174,6 +174,7 @@ def test_what_is_unexplained_is_asked_of_the_field():
         def incoherent(self, state):
             return torch.eye(8, dtype=torch.complex128).expand(*state.shape[:-1], 2, 8, 8)
 
-    assert Intensity().unexplained(plane, state) == UNKNOWN
-    assert Intensity().unexplained(Scattering(plane), state) == 0
+    asked = Intensity(leftover=None)
+    assert asked.unexplained(plane, state) == UNKNOWN
+    assert asked.unexplained(Scattering(plane), state) == 0
     assert Intensity(leftover=0.3).unexplained(Scattering(plane), state) == 0.3

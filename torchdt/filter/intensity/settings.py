@@ -80,7 +80,7 @@ class Intensity(Checked):
     lowest: Positive = 0.1
     highest: Positive = 10.0
     step_nats: Nats = 10.0
-    leftover: Share | None = None
+    leftover: Share | None = 0.1
     promote: InnerProbability = 0.2
     alike: InnerProbability = 0.5
     hypotheses: Annotated[int, Range("a positive integer", low=1, most=1e9, whole=True)] = 1_000_000
