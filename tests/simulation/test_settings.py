@@ -10,6 +10,7 @@ from torchdt.filter.config import TrackerConfig
 from torchdt.model.distance import Euclidean, GreatCircle
 from torchdt.simulation.settings import (
     CoordinateSettings,
+    InterfererSettings,
     MismatchSettings,
     PathSettings,
     PopulationSettings,
@@ -142,14 +143,28 @@ def test_sources(settings, key, found, expected):
     refuse(lambda: SourceSettings("p", **settings), f"scenario.sources.{key}", found, expected)
 
 
-def test_a_source_needs_a_known_path():
+@pytest.mark.parametrize(("key", "kind"), [("sources", SourceSettings), ("interferers", InterfererSettings)])
+def test_a_source_needs_a_known_path(key, kind):
     paths = {"east": PathSettings(), "west": PathSettings()}
     refuse(
-        lambda: ScenarioSettings(paths=paths, sources={"a": SourceSettings("north")}),
-        "scenario.sources.a.path",
+        lambda: ScenarioSettings(paths=paths, **{key: {"a": kind("north")}}),
+        f"scenario.{key}.a.path",
         "north",
         "one of ['east', 'west']",
     )
+
+
+def test_messages_of_interferers_name_their_own_key():
+    for settings, key, found, expected in (
+        ({"death": 0}, "death", 0, "a step after birth 0, or null"),
+        ({"silences": [[3]]}, "silences", [[3]], "pairs [first, last]"),
+    ):
+        refuse(
+            lambda settings=settings: InterfererSettings("p", **settings),
+            f"scenario.interferers.{key}",
+            found,
+            expected,
+        )
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,14 @@ import torch
 from oracles.line_array import BEARING, make_field
 from scipy.stats import chi2
 
-from torchdt.simulation.settings import CoordinateSettings, PathSettings, ScenarioSettings, SourceSettings
-from torchdt.simulation.simulate import simulate_snapshots, source_track
+from torchdt.simulation.settings import (
+    CoordinateSettings,
+    InterfererSettings,
+    PathSettings,
+    ScenarioSettings,
+    SourceSettings,
+)
+from torchdt.simulation.simulate import simulate_interference, simulate_snapshots, source_track
 
 FIELD = make_field()
 STILL = {"still": PathSettings([0.0], [[20.0]])}
@@ -111,6 +117,26 @@ def test_the_seed_decides():
     settings = scenario(sources={"a": SourceSettings("still")})
     assert torch.equal(draw(settings, 1)[0], draw(settings, 1)[0])
     assert not torch.equal(draw(settings, 1)[0], draw(settings, 2)[0])
+
+
+def test_an_interferer_is_heard_and_is_no_object():
+    """It is received like a source of its path, outside the region too, with Gaussian amplitudes."""
+    outside = {"outside": PathSettings([0.0], [[BEARING["high"] + 10.0]])}
+    ship = InterfererSettings("outside", 10.0, birth=2, silences=[[5, 7]])
+    settings = scenario(
+        paths=outside, interferers={"ship": ship}, amplitudes="constant_modulus", num_steps=200
+    )
+    heard = simulate_interference(FIELD, settings, torch.Generator().manual_seed(1))
+    sent = torch.ones(200, dtype=torch.bool)
+    sent[[0, 1, 5, 6, 7]] = False
+    assert torch.equal(heard.abs().amax((1, 2, 3)) > 0, sent)
+    response = FIELD(torch.tensor(outside["outside"].positions, dtype=torch.float64))[0]
+    amplitude = (response.conj()[:, None] * heard).sum(-1, keepdim=True)
+    torch.testing.assert_close(amplitude * response[:, None], heard)
+    assert_energy(amplitude[sent], 10.0)
+    _, truth = draw(settings)
+    assert truth.shape == (200, 0, 1)
+    assert not simulate_interference(FIELD, scenario(), torch.Generator()).any()
 
 
 def test_a_spline_passes_its_waypoints_smoothly():

@@ -33,7 +33,7 @@ from torchdt.model.region import Coordinate, Region
 from torchdt.run.track import generator
 from torchdt.simulation.generate import generate_snapshots
 from torchdt.simulation.settings import MismatchSettings
-from torchdt.simulation.simulate import simulate_snapshots
+from torchdt.simulation.simulate import simulate_interference, simulate_snapshots
 from torchdt.tuning.sequences import stack_recordings
 
 log = logging.getLogger(__name__)
@@ -123,7 +123,8 @@ def simulate(settings: TrackSettings) -> Recording:
             z, position = generate_snapshots(
                 field, region.within(field), scenario, scenario.population, stream
             )
-        snapshots.append(z)
+        # Drawn last, so that what else there is stays the same without them.
+        snapshots.append(z + simulate_interference(field, scenario, stream))
         truth.append(region.wrap(position))
     most = max(position.shape[1] for position in truth)
     padded = [pad(position, (0, 0, 0, most - position.shape[1]), value=torch.nan) for position in truth]

@@ -83,9 +83,19 @@ class SourceSettings(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         pairs = all(len(s) == 2 and s[0] <= s[1] for s in self.silences)
-        require(pairs, "scenario.sources.silences", self.silences, "pairs [first, last]")
+        require(pairs, f"{self.KEY}.silences", self.silences, "pairs [first, last]")
         ends = self.death is None or self.death > self.birth
-        require(ends, "scenario.sources.death", self.death, f"a step after birth {self.birth}, or null")
+        require(ends, f"{self.KEY}.death", self.death, f"a step after birth {self.birth}, or null")
+
+
+@dataclass
+class InterfererSettings(SourceSettings):
+    """One simulated source that is no object of the truth, such as a ship outside the region of interest.
+
+    Its amplitudes are Gaussian, whatever those of the sources are.
+    """
+
+    KEY: ClassVar[str] = "scenario.interferers"
 
 
 @dataclass
@@ -183,6 +193,7 @@ class ScenarioSettings(Checked):
         coordinates: the region of interest.
         paths: by name.
         sources: by name; none is noise alone.
+        interferers: by name; sources that are not in the truth, on paths that may lie outside the region.
         population: draws the sources from the tracker's model; None for those of `sources`.
         mismatch: difference between the simulator's and the tracker's environment.
         gospa_cutoff, gospa_order: c, in units of the distance, and p.
@@ -204,6 +215,7 @@ class ScenarioSettings(Checked):
     coordinates: list[CoordinateSettings] = field(default_factory=lambda: [CoordinateSettings()])
     paths: dict[str, PathSettings] = field(default_factory=dict)
     sources: dict[str, SourceSettings] = field(default_factory=dict)
+    interferers: dict[str, InterfererSettings] = field(default_factory=dict)
     population: PopulationSettings | None = None
     mismatch: MismatchSettings = field(default_factory=MismatchSettings)
     gospa_cutoff: Positive = 200.0
@@ -226,8 +238,8 @@ class ScenarioSettings(Checked):
         for name, path in self.paths.items():
             fits = all(len(position) == width for position in path.positions)
             require(fits, f"scenario.paths.{name}.positions", path.positions, f"{width} coordinates each")
-        for name, source in self.sources.items():
-            require(source.path in known, f"scenario.sources.{name}.path", source.path, f"one of {known}")
+        for name, source in [*self.sources.items(), *self.interferers.items()]:
+            require(source.path in known, f"{source.KEY}.{name}.path", source.path, f"one of {known}")
 
     def _check_distance(self, width: int) -> None:
         if self.gospa_scale is not None:

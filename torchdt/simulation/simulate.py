@@ -56,17 +56,34 @@ def simulate_snapshots(
         (scenario.num_steps, len(scenario.sources), len(scenario.coordinates)), torch.nan
     ).double()
     for index, source in enumerate(scenario.sources.values()):
-        truth[:, index] = position = source_track(
-            source, scenario.paths[source.path], scenario.num_steps, scenario.step_s
-        )
-        sending = position.clone()
-        for first, last in source.silences:
-            sending[first : last + 1] = torch.nan
+        truth[:, index] = position = _track_in(scenario, source)
         rho = amplitudes(scenario, shape, generator)
-        if source.frozen_step is not None:
-            rho = rho[:1].expand(shape)
-        snapshots = snapshots + received(field, sending, 10 ** (source.power_db / 20) * rho)
+        snapshots = snapshots + _sent(field, source, position, rho)
     return snapshots, truth
+
+
+def simulate_interference(field: Field, scenario: ScenarioSettings, generator: Generator) -> Tensor:
+    """What the array receives of the interferers, `(K, I, J, M)` complex128, see `simulate_snapshots`."""
+    shape = (scenario.num_steps, field.num_tones, scenario.num_snapshots)
+    total = torch.zeros((*shape, field.num_sensors), dtype=torch.complex128)
+    for source in scenario.interferers.values():
+        rho = complex_normal(shape, generator)
+        total = total + _sent(field, source, _track_in(scenario, source), rho)
+    return total
+
+
+def _track_in(scenario: ScenarioSettings, source: SourceSettings) -> Tensor:
+    return source_track(source, scenario.paths[source.path], scenario.num_steps, scenario.step_s)
+
+
+def _sent(field: Field, source: SourceSettings, position: Tensor, rho: Tensor) -> Tensor:
+    """What is received of a source at `(K, d)` with unit-power amplitudes `(K, I, J)`."""
+    sending = position.clone()
+    for first, last in source.silences:
+        sending[first : last + 1] = torch.nan
+    if source.frozen_step is not None:
+        rho = rho[:1].expand_as(rho)
+    return received(field, sending, 10 ** (source.power_db / 20) * rho)
 
 
 def noise_variance(field: Field, scenario: ScenarioSettings) -> float:
