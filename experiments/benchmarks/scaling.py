@@ -11,7 +11,7 @@ from benchmarks.clock import clock_in_turn
 from benchmarks.problem import random_problem
 from benchmarks.report import Measured
 from torchdt.data.recording import Recording, validate
-from torchdt.filter.bp.schedule import update
+from torchdt.filter.bp.update import update
 from torchdt.filter.direct import DirectTracker
 from torchdt.run.track import track
 

@@ -16,7 +16,7 @@ from torchdt.core.random import RandomStreams
 from torchdt.core.resampling import Systematic
 from torchdt.data.recording import Recording
 from torchdt.filter.bp.moments import response_moment, signal_covariance
-from torchdt.filter.bp.schedule import update
+from torchdt.filter.bp.update import update
 from torchdt.filter.context import StepContext
 from torchdt.filter.declare import posterior, report
 from torchdt.filter.direct import DirectTracker
@@ -100,7 +100,7 @@ def forward_parts(
     draws = tracker.draw(streams)
     tempered = measurement.tempered(append_dims(tracker.model.likelihood_power, 1))
     born = tracker.model.birth.log_odds(region, tracker.dictionary.points[None]).amax(-1)
-    context = StepContext(field, region, tracker.model, tempered)
+    context = StepContext(field, region, tracker.model, tracker.model.noise, tempered)
     placer = Placer(context, tracker.dictionary, cfg)
 
     predicted = tracker.predict(state, draws.driving)
@@ -195,6 +195,7 @@ def gradient_parts(
         Noise(*(_leaf(t) for t in state.noise)),
         state.next_label,
         _leaf(state.undetected),
+        _leaf(state.interference),
     )
     forward = partial(
         tracker.with_model(tracker.model.with_numbers(leaves)).step, given, measurement, priors, streams

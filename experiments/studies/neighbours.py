@@ -14,7 +14,8 @@ from torchdt.field.plane_wave import LineArrayField
 from torchdt.filter.bp.configurations import UniformDraws, draw_configurations, labellings
 from torchdt.filter.bp.evidence import sampled_evidence
 from torchdt.filter.bp.joint import clusters, joint_marginals
-from torchdt.filter.bp.schedule import Beliefs, Flooding, Schedule, Sequential, update
+from torchdt.filter.bp.schedule import Beliefs, Flooding, Schedule, Sequential
+from torchdt.filter.bp.update import update
 from torchdt.filter.proposal.moved import respond
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement, from_snapshots

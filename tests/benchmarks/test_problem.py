@@ -1,7 +1,7 @@
 import torch
 
 from benchmarks.problem import random_problem
-from torchdt.filter.bp.schedule import update
+from torchdt.filter.bp.update import update
 
 SIZES = (3, 40, 2, 8, 4, 5, 6)
 

@@ -46,6 +46,7 @@ OLD = TrackerState(
     Noise(torch.ones(2, TONES, 3, dtype=F64), torch.full((2, TONES, 3), -math.log(3), dtype=F64)),
     torch.tensor([5, 2]),
     torch.zeros(2, 0, dtype=F64),
+    torch.zeros(2, 0, dtype=F64),
 )
 
 

@@ -94,7 +94,7 @@ def test_steps_run_again_only_for_the_gradient_of_blocks(measurement, block, wit
 
 def cut(state: TrackerState) -> TrackerState:
     objects, noise = (type(part)(*(t.detach() for t in part)) for part in state[:2])
-    return TrackerState(objects, noise, state.next_label, state.undetected.detach())
+    return TrackerState(objects, noise, state.next_label, state.undetected.detach(), state.interference)
 
 
 @MODES

@@ -20,6 +20,7 @@ from torchdt.filter.bp.evidence import Evidence, SampledEvidence
 from torchdt.filter.bp.marginals import Marginals, OfMessages
 from torchdt.filter.bp.schedule import Schedule, Sequential
 from torchdt.filter.intensity.settings import Intensity, UndetectedModel
+from torchdt.filter.interference.settings import FreeSignatures, Interference
 from torchdt.filter.proposal.adapted import Adapted
 from torchdt.filter.proposal.base import Proposal
 from torchdt.model.motion.driving import Gradient, Score
@@ -30,13 +31,14 @@ PARTS: Mapping[str, Any] = {
     "proposal": Proposal,
     "marginals": Marginals,
     "undetected": UndetectedModel,
+    "interference": Interference,
     "evidence": Evidence,
     "gradient": Gradient,
 }
 """Settings that are objects, and the protocol of each."""
 
 if not TYPE_CHECKING:  # configurations have no protocols
-    Evidence = Gradient = Marginals = Proposal = Resampler = Schedule = UndetectedModel = Any
+    Evidence = Gradient = Interference = Marginals = Proposal = Resampler = Schedule = UndetectedModel = Any
 
 
 @dataclass
@@ -93,6 +95,7 @@ class TrackerConfig(ObjectConfig):
             response scatters; None leaves it to the calibration.
         marginals: of objects that overlap: from joint configurations, or as the messages leave them.
         undetected: intensity of undetected objects, from which births rest on many steps; or nothing.
+        interference: what is heard and is no object: signals of free spatial signature, or nothing.
         evidence: how log p(z_k | z_1..k-1) is estimated.
         gradient: of the likelihood through motion: particles stay and weights move, or particles move.
         power_max: upper limit of the uniform power prior in squared data units; None takes it from the data.
@@ -109,6 +112,7 @@ class TrackerConfig(ObjectConfig):
     mismatch_share: list[InnerProbability] | None = None
     marginals: Marginals = field(default_factory=OfMessages)
     undetected: UndetectedModel = field(default_factory=Intensity)
+    interference: Interference = field(default_factory=FreeSignatures)
     evidence: Evidence = field(default_factory=SampledEvidence)
     gradient: Gradient = field(default_factory=Score)
     power_max: Power | None = None

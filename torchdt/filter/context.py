@@ -8,6 +8,7 @@ from torchdt.core.trees import take_sequences
 from torchdt.field.base import BaseField
 from torchdt.model.measurement import Measurement
 from torchdt.model.model import Model
+from torchdt.model.noise.base import NoiseCovariance
 from torchdt.model.region import Region
 
 
@@ -18,12 +19,14 @@ class StepContext(NamedTuple):
         field: array response.
         region: region of interest.
         model: statistical model, with numbers as tensors.
+        noise: that of the model, together with what else is heard and is no object.
         measurement: statistics of the step, batch `(*batch,)`.
     """
 
     field: BaseField
     region: Region
     model: Model
+    noise: NoiseCovariance
     measurement: Measurement
 
     def select(self, rows: Tensor) -> Self:
@@ -33,5 +36,6 @@ class StepContext(NamedTuple):
             field=self.field.select(chosen),
             region=self.region.select(chosen),
             model=self.model.select(chosen),
+            noise=self.noise.select(chosen),
             measurement=take_sequences(self.measurement, rows),
         )

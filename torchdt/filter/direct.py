@@ -14,13 +14,14 @@ from torchdt.data.recording import Recording
 from torchdt.field.base import BaseField, Field, of_each, repeat_field
 from torchdt.field.mismatch import with_share
 from torchdt.field.wrapped import CompletedField
-from torchdt.filter.bp.schedule import Beliefs, update
+from torchdt.filter.bp.schedule import Beliefs
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.context import StepContext
 from torchdt.filter.declare import empty_slots, idle_particles, posterior, report
+from torchdt.filter.explain import Explainer
 from torchdt.filter.history import StepEstimate
 from torchdt.filter.intensity.undetected import Undetected
-from torchdt.filter.placement import Placer
+from torchdt.filter.interference.settings import beside
 from torchdt.filter.predict import Predicted, predict
 from torchdt.filter.proposal.moved import Draws
 from torchdt.filter.slots import Placed
@@ -157,7 +158,9 @@ class DirectTracker(Tracker[TrackerState]):
         noise = self.model.noise.initial(priors.noise_max, cfg.noise_points)
         first = torch.ones(batch, dtype=torch.int64, device=self._idle.device)
         unseen = self._idle.new_zeros((*batch, 0)) if self.undetected is None else self.undetected.init(batch)
-        return TrackerState(objects, noise, first, unseen)
+        size = num_tones, self.field.num_sensors, cfg.interference.signatures
+        unheard = self._idle.new_zeros((*batch, *size), dtype=self._idle.dtype.to_complex())
+        return TrackerState(objects, noise, first, unseen, unheard)
 
     @cached_property
     def undetected(self) -> Undetected | None:
@@ -193,19 +196,11 @@ class DirectTracker(Tracker[TrackerState]):
         # that goes on keeps its support points.
         noise = model.noise.resolvable(state.noise, measurement, priors)
         predicted = self.predict(state._replace(noise=noise), draws.driving)
-        context = StepContext(self.field, self.region, model, tempered)
-        placer = Placer(context, self.dictionary, cfg)
-        current, residual = placer.place(predicted, priors, draws.known, draws.newborn, draws.picks)
-        beliefs = update(
-            current.objects,
-            current.response,
-            noise,
-            tempered,
-            sweeps=cfg.sweeps,
-            schedule=cfg.schedule,
-            initial=current.beliefs,
-            noise_model=model.noise,
-        )
+        context = StepContext(self.field, self.region, model, model.noise, tempered)
+        places = draws.known, draws.newborn, draws.picks
+        step = context, self.dictionary, cfg, predicted, state.interference, priors, places
+        current, residual, beliefs = Explainer(*step).explain()
+        context = context._replace(noise=beside(model.noise, beliefs.interferers))
         beliefs = cfg.marginals.refine(context, predicted, current, beliefs, draws.marginals)
         context = context._replace(measurement=measurement)
         log_evidence = self.evidence(context, predicted, current, beliefs, draws.evidence)
@@ -214,6 +209,7 @@ class DirectTracker(Tracker[TrackerState]):
             known = predicted.objects.log_odds.shape[-1]
             # Those of the last pick, of which there are hardly ever as many.
             draws_of_one = draws.newborn.final[..., -1, :, :]
+            residual = self.undetected.left(residual, context, known, beliefs)
             undetected, objects, log_unseen = self.undetected.step(
                 undetected, context, objects, known, beliefs, residual, priors, cfg, draws_of_one
             )
@@ -229,7 +225,9 @@ class DirectTracker(Tracker[TrackerState]):
             estimate = estimate._replace(declared=estimate.declared & heard)
         objects = cfg.proposal.resample(objects, cfg.resampler, streams)
         noise = model.noise.predict(state.noise._replace(log_weight=beliefs.noise.log_weight))
-        return TrackerState(empty_slots(objects, self._idle), noise, next_label, undetected), estimate
+        interference = state.interference if beliefs.interferers is None else beliefs.interferers.columns
+        objects = empty_slots(objects, self._idle)
+        return TrackerState(objects, noise, next_label, undetected, interference), estimate
 
     def draw(self, streams: RandomStreams) -> StepDraws:
         """Random numbers of a step, always as many, whatever the other sequences of the batch need."""
@@ -260,4 +258,6 @@ class DirectTracker(Tracker[TrackerState]):
         if self.undetected is None and estimator.knows_births:
             new_odds = current.objects.log_odds[..., predicted.objects.log_odds.shape[-1] :]
             log_evidence = log_evidence + self.model.birth.log_none(self.region, new_odds)
+        if beliefs.interferers is not None:
+            log_evidence = log_evidence - beliefs.interferers.cost.sum(-1)
         return torch.where((context.measurement.num_snapshots > 0).any(-1), log_evidence, 0.0)

@@ -50,7 +50,7 @@ class Placer:
             The objects, and what the known ones among them leave unexplained.
         """
         cfg, noise = self.config, predicted.beliefs.noise
-        field, region, model, measurement = self.context
+        field, region, model, heard, measurement = self.context
         first = self._place_known(self.context, predicted, predicted.beliefs, known)
         log_odds = partial(model.birth.log_odds, region)
         with torch.no_grad():
@@ -67,7 +67,7 @@ class Placer:
                 rounds,
                 proposal=cfg.proposal,
                 favour=lambda position: log_odds(position) - append_dims(top, position.ndim - 1 - top.ndim),
-                noise_model=model.noise,
+                noise_model=heard,
             )
         explained = tree_map(Tensor.detach, explained)
         current = first._replace(beliefs=first.beliefs._replace(noise=explained))
@@ -106,7 +106,7 @@ class Placer:
     def _add_newborn(self, known: Placed, picks: Picks, priors: Priors, draws: Draws) -> Placed:
         """Known and new objects together."""
         cfg, dim = self.config, picks.active.ndim - 1
-        field, region, model, measurement = self.context
+        field, region, model, heard, measurement = self.context
         signal = signal_covariance(known.beliefs.strength, known.beliefs.moment)
         new, response = propose_newborn(
             field,
@@ -120,6 +120,7 @@ class Placer:
             cfg.power_points,
             draws,
             proposal=cfg.proposal,
+            noise_model=heard,
         )
         # What a pick sends beside its response is judged by the power it was picked with.
         newborn = initial_beliefs(new, response, known.beliefs.noise, picks.diffuse)._replace(

@@ -59,9 +59,12 @@ class TrackerState(NamedTuple):
         next_label: `(*batch,)` int64, next free label.
         undetected: `(*batch, V, L, C)` intensity of objects of which no potential object is made yet, see
             `torchdt.filter.intensity.intensity`; empty, `(*batch, 0)`, where there is none.
+        interference: `(*batch, I, M, K)` complex, interferers of the last step, see
+            `torchdt.filter.interference.signatures`; K = 0 where there is no place for them.
     """
 
     objects: Objects
     noise: Noise
     next_label: Tensor
     undetected: Tensor
+    interference: Tensor

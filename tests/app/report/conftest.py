@@ -78,4 +78,4 @@ def state(history):
         transmits=torch.ones(N, P),
     )
     noise = Noise(torch.ones(I, 1), torch.zeros(I, 1))
-    return TrackerState(objects, noise, torch.tensor(13), torch.zeros(0))
+    return TrackerState(objects, noise, torch.tensor(13), torch.zeros(0), torch.zeros(0))

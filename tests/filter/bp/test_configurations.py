@@ -18,7 +18,7 @@ from torchdt.filter.bp.configurations import (
     log_probability,
 )
 from torchdt.filter.bp.messages import ObjectBelief
-from torchdt.filter.bp.schedule import update
+from torchdt.filter.bp.update import update
 from torchdt.filter.state import Objects
 from torchdt.model.noise.base import Noise
 

@@ -14,7 +14,8 @@ from torch import Tensor
 from torchdt.core.random import RandomStreams
 from torchdt.filter.bp.configurations import Configurations, UniformDraws, draw_configurations, labellings
 from torchdt.filter.bp.evidence import gaussian_evidence, sampled_evidence
-from torchdt.filter.bp.schedule import Beliefs, initial_beliefs, update
+from torchdt.filter.bp.schedule import Beliefs, initial_beliefs
+from torchdt.filter.bp.update import update
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import from_snapshots
 from torchdt.model.noise.base import Noise

@@ -12,7 +12,8 @@ from torchdt.core.random import RandomStreams
 from torchdt.core.trees import stack, tree_map
 from torchdt.filter.bp.configurations import UniformDraws
 from torchdt.filter.bp.joint import clusters, joint_marginals
-from torchdt.filter.bp.schedule import Beliefs, initial_beliefs, update
+from torchdt.filter.bp.schedule import Beliefs, initial_beliefs
+from torchdt.filter.bp.update import update
 from torchdt.filter.state import Objects
 from torchdt.model.noise.white import WHITE
 

@@ -10,7 +10,7 @@ from oracles.plain_field import PlainField
 from benchmarks.problem import random_problem
 from benchmarks.update import plain_problem
 from torchdt.field import Environment, HalfSpace, NormalModeField, solve_modes
-from torchdt.filter.bp.schedule import update
+from torchdt.filter.bp.update import update
 
 LOUD, QUIET = 1.0, 0.35
 

@@ -56,7 +56,7 @@ def steps_of(tracker, snapshots, likelihood_power=1.0):
         residual = Unexplained(
             cell_statistics(tracker.dictionary, whiten(tempered, background)), noise, torch.zeros_like(noise)
         )
-        context = StepContext(tracker.field, tracker.region, model, measurement)
+        context = StepContext(tracker.field, tracker.region, model, model.noise, measurement)
         at = tone_powers(context, noise, undetected.moment, undetected.settings)
         ratio = log_ratio(context, residual, *at)
         predicted = undetected.predict(intensity, model)

@@ -127,7 +127,7 @@ def test_what_known_objects_leave_counts_as_noise_in_all_directions_but_theirs()
         response=eye.expand(2, -1, -1), energy=torch.ones(2, 8, dtype=torch.float64)
     )
     left = cell_statistics(dictionary, whiten(data, known + noise[..., None, None] * eye))
-    context = StepContext(tracker.field, tracker.region, tracker.model, data)
+    context = StepContext(tracker.field, tracker.region, tracker.model, tracker.model.noise, data)
     found = doubted(context, Unexplained(left, noise, received), share)
     louder = noise + share * received / 8
     expected = cell_statistics(dictionary, whiten(data, known + louder[..., None, None] * eye))

@@ -23,7 +23,7 @@ from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.bp.schedule import Beliefs, as_belief, background
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement
-from torchdt.model.noise.base import Noise, NoiseModel
+from torchdt.model.noise.base import Noise, NoiseCovariance
 from torchdt.model.noise.white import WHITE
 
 DOUBT = 0.01
@@ -173,7 +173,7 @@ def labellings(
     measurement: Measurement,
     beliefs: Beliefs,
     exchangeable: Tensor,
-    noise_model: NoiseModel = WHITE,
+    noise_model: NoiseCovariance = WHITE,
 ) -> tuple[list[ObjectBelief], Tensor]:
     """The beliefs, and for each exchangeable pair of objects those in which the two change places.
 

@@ -31,7 +31,7 @@ from torchdt.filter.predict import Predicted, exchangeable
 from torchdt.filter.slots import Placed
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood
-from torchdt.model.noise.base import Noise, NoiseModel
+from torchdt.model.noise.base import Noise, NoiseCovariance
 from torchdt.model.noise.white import WHITE
 
 
@@ -90,7 +90,7 @@ class GaussianEvidence:
         draws: None,
     ) -> Tensor:
         """See `gaussian_evidence`."""
-        return gaussian_evidence(predicted.beliefs, context.measurement, context.model.noise)
+        return gaussian_evidence(predicted.beliefs, context.measurement, context.noise)
 
 
 @dataclass(frozen=True)
@@ -122,20 +122,22 @@ class SampledEvidence(Checked):
         draws: tuple[UniformDraws, int],
     ) -> Tensor:
         """See `sampled_evidence`."""
-        (uniform, slots), region, model = draws, context.region, context.model
+        (uniform, slots), region, noise = draws, context.region, context.noise
         known = predicted.objects.log_odds.shape[-1]
         new_odds = current.objects.log_odds[..., known:]
         # New objects are born in places of their own, and change them with no other.
         pairs = pad(exchangeable(predicted, region), (0, new_odds.shape[-1]) * 2)
         at = current.objects, current.response
-        components = labellings(*at, context.measurement, beliefs, pairs, model.noise)
+        components = labellings(*at, context.measurement, beliefs, pairs, noise)
         chosen = uniform.pick(known, slots, new_odds.shape[-1])
         drawn = draw_configurations(*components, beliefs.noise, chosen)
         seen = predicted.beliefs.noise, context.measurement
-        return sampled_evidence(*at, *seen, drawn, beliefs.diffuse, model.noise)
+        return sampled_evidence(*at, *seen, drawn, beliefs.diffuse, noise)
 
 
-def gaussian_evidence(beliefs: Beliefs, measurement: Measurement, noise_model: NoiseModel = WHITE) -> Tensor:
+def gaussian_evidence(
+    beliefs: Beliefs, measurement: Measurement, noise_model: NoiseCovariance = WHITE
+) -> Tensor:
     """`log CN(z; 0, sum_n r_n E[gamma] E[a a^H] + E[eta] I)` under predicted beliefs, `(*batch,)`.
 
     Instead of `eta I` stands what the noise model makes of it.
@@ -152,7 +154,7 @@ def sampled_evidence(
     measurement: Measurement,
     configurations: Configurations,
     diffuse: Tensor | None = None,
-    noise_model: NoiseModel = WHITE,
+    noise_model: NoiseCovariance = WHITE,
 ) -> Tensor:
     """`log mean_s f(z | c_s) p(c_s) / q(c_s)` over configurations `c_s ~ q`, `(*batch,)`.
 

@@ -36,7 +36,7 @@ from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.bp.schedule import Beliefs, as_belief, store
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood
-from torchdt.model.noise.base import NoiseModel
+from torchdt.model.noise.base import NoiseCovariance
 
 DOUBT, PRIOR = 0.3, 0.2
 """Least probability with which existence and absence are drawn, and share of the prior in states and powers:
@@ -85,7 +85,7 @@ def joint_marginals(
     cluster: Tensor,
     exchange: Tensor,
     uniform: UniformDraws,
-    noise_model: NoiseModel,
+    noise_model: NoiseCovariance,
 ) -> Beliefs:
     """Beliefs in which those of clustered objects come from joint configurations.
 

@@ -101,7 +101,7 @@ class Joint(Checked):
                 cluster,
                 exchange,
                 draws,
-                context.model.noise,
+                context.noise,
             )
 
         arguments = current, beliefs, cluster, exchange, uniform.pick(known, slots, new)

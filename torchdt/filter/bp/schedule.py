@@ -24,10 +24,17 @@ from torchdt.filter.bp.moments import (
     without,
 )
 from torchdt.filter.bp.rank_one import whiten
+from torchdt.filter.interference.settings import Interference, NoInterference
+from torchdt.filter.interference.signatures import Interferers
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement
-from torchdt.model.noise.base import Noise, NoiseModel
+from torchdt.model.noise.base import Noise, NoiseCovariance
 from torchdt.model.noise.white import WHITE
+
+NOTHING_ELSE = NoInterference()
+
+NOTHING = 1e-3
+"""Nats that change no existence."""
 
 
 class Beliefs(NamedTuple):
@@ -41,6 +48,7 @@ class Beliefs(NamedTuple):
         power: `(*batch, N, I)` real `E[gamma]` given existence.
         diffuse: `(*batch, N, I, M, M)` complex covariance, per unit power, of what an object sends beside
             its modelled response; None where the model is exact.
+        interferers: what is no object; None for nothing.
     """
 
     objects: ObjectBelief
@@ -49,6 +57,12 @@ class Beliefs(NamedTuple):
     strength: Tensor
     power: Tensor
     diffuse: Tensor | None = None
+    interferers: Interferers | None = None
+
+    @property
+    def signal(self) -> Tensor:
+        """Covariance of what all objects send, `(*batch, I, M, M)`."""
+        return signal_covariance(self.strength, self.moment)
 
 
 def as_belief(objects: Objects) -> ObjectBelief:
@@ -85,7 +99,7 @@ def background(
     measurement: Measurement,
     index: Tensor,
     extra_signal: Tensor | None = None,
-    noise_model: NoiseModel = WHITE,
+    noise_model: NoiseCovariance = WHITE,
 ) -> Tensor:
     """What one object per batch element is tested against, `(*batch, I, M, M)`.
 
@@ -130,6 +144,45 @@ def store(beliefs: Beliefs, index: Tensor, slot: ObjectBelief, prior: Objects, r
     )
 
 
+def judged(
+    beliefs: Beliefs,
+    measurement: Measurement,
+    index: Tensor,
+    others: Tensor,
+    noise_model: NoiseCovariance,
+    interference: Interference,
+) -> Beliefs:
+    """The existence of one object per batch element, given that what it explains may be no object.
+
+    Its odds compare all that is without it and all that is with it, each beside the best that a signal of
+    free signature can do there.
+
+    Args:
+        beliefs: of all objects, the last message included.
+        measurement: statistics of the step.
+        index: `(*batch,)` the object.
+        others: `(*batch, I, M, M)` what it was tested against.
+        noise_model: what the noise makes of the covariance of the data.
+        interference: what may be heard beside objects.
+    """
+    variance = beliefs.noise.mean
+    without_it = interference.rival(measurement, others, variance)
+    if not bool((without_it > NOTHING).any()):
+        return beliefs
+    sent = take(beliefs.moment, index)
+    if beliefs.diffuse is not None:
+        sent = sent - take(beliefs.diffuse, index)
+    covariance = others + take(beliefs.power, index)[..., None, None] * sent
+    change = interference.rival(measurement, covariance, variance) - without_it
+    change = torch.where(without_it > NOTHING, change, 0.0)
+    log_odds = take(beliefs.objects.log_odds, index) + change
+    strength = torch.sigmoid(log_odds)[..., None] * take(beliefs.power, index)
+    odds = put(beliefs.objects.log_odds, index, log_odds)
+    return beliefs._replace(
+        objects=beliefs.objects._replace(log_odds=odds), strength=put(beliefs.strength, index, strength)
+    )
+
+
 @runtime_checkable
 class Schedule(Protocol):
     """The order of the messages of one pass."""
@@ -140,7 +193,8 @@ class Schedule(Protocol):
         response: Tensor,
         measurement: Measurement,
         beliefs: Beliefs,
-        noise_model: NoiseModel,
+        noise_model: NoiseCovariance,
+        interference: Interference = NOTHING_ELSE,
     ) -> Beliefs:
         """Beliefs of all objects renewed once; that of the noise stays.
 
@@ -150,6 +204,7 @@ class Schedule(Protocol):
             measurement: statistics of the step, batch `(*batch,)`.
             beliefs: before this pass.
             noise_model: what the noise makes of the covariance of the data.
+            interference: what may be heard beside objects.
         """
         ...
 
@@ -164,18 +219,22 @@ class Sequential:
         response: Tensor,
         measurement: Measurement,
         beliefs: Beliefs,
-        noise_model: NoiseModel,
+        noise_model: NoiseCovariance,
+        interference: Interference = NOTHING_ELSE,
     ) -> Beliefs:
         """See `Schedule.sweep`."""
         order = strongest_first(beliefs.strength)
         # Empty slots sort last and have nothing to say; how many there are differs across the batch.
         for visit in range(int(prior.log_odds.isfinite().sum(-1).max())):
             index = order[..., visit]
-            whitener = whiten(measurement, background(beliefs, measurement, index, noise_model=noise_model))
+            others = background(beliefs, measurement, index, noise_model=noise_model)
+            whitener = whiten(measurement, others)
             slot_response = take(response, index)
             slot_prior = tree_map(partial(take, index=index), as_belief(prior))
             slot = object_belief(whitener, slot_response, take(prior.power, index), slot_prior)
             beliefs = store(beliefs, index, slot, prior, slot_response)
+            if interference.signatures:
+                beliefs = judged(beliefs, measurement, index, others, noise_model, interference)
         return beliefs
 
 
@@ -189,7 +248,8 @@ class Flooding:
         response: Tensor,
         measurement: Measurement,
         beliefs: Beliefs,
-        noise_model: NoiseModel,
+        noise_model: NoiseCovariance,
+        interference: Interference = NOTHING_ELSE,
     ) -> Beliefs:
         """See `Schedule.sweep`."""
         per_object = measurement.unsqueeze()
@@ -197,10 +257,15 @@ class Flooding:
         if beliefs.diffuse is not None:
             signal = signal + beliefs.power[..., None, None] * beliefs.diffuse
         noise = beliefs.noise.mean[..., None, :]
-        whitener = whiten(per_object, noise_model.covariance(signal, noise, per_object.present))
+        others = noise_model.covariance(signal, noise, per_object.present)
+        whitener = whiten(per_object, others)
         objects = object_belief(whitener, response, prior.power, as_belief(prior))
         power = weighted_mean(prior.power, objects.log_power_weight)
         moment = response_moment(response, objects.log_weight)
+        if interference.signatures:
+            own = power[..., None, None] * moment
+            change = [interference.rival(per_object, c, noise) for c in (others + own, others)]
+            objects = objects._replace(log_odds=objects.log_odds + change[0] - change[1])
         return beliefs._replace(
             objects=objects,
             moment=with_diffuse(moment, weighted_mean(prior.transmits, objects.log_weight), beliefs.diffuse),
@@ -210,37 +275,3 @@ class Flooding:
 
 
 SEQUENTIAL = Sequential()
-
-
-def update(
-    prior: Objects,
-    response: Tensor,
-    noise: Noise,
-    measurement: Measurement,
-    *,
-    sweeps: int = 3,
-    schedule: Schedule = SEQUENTIAL,
-    initial: Beliefs | None = None,
-    noise_model: NoiseModel = WHITE,
-) -> Beliefs:
-    """BP update of one time step on fixed particles.
-
-    Args:
-        prior: predicted objects, batch `(*batch, N)`.
-        response: `(*batch, N, I, P, M)` complex responses of the particles.
-        noise: predicted noise.
-        measurement: statistics of the step, batch `(*batch,)`.
-        sweeps: passes over all objects; the noise is updated after each.
-        schedule: order of the messages.
-        initial: beliefs to start from; the predicted ones if None.
-        noise_model: what the noise makes of the covariance of the data.
-
-    Raises:
-        NumericalError: where a covariance is not positive definite or a message not finite.
-    """
-    beliefs = initial_beliefs(prior, response, noise) if initial is None else initial
-    for _ in range(sweeps):
-        beliefs = schedule.sweep(prior, response, measurement, beliefs, noise_model)
-        signal = signal_covariance(beliefs.strength, beliefs.moment)
-        beliefs = beliefs._replace(noise=noise_model.update(noise, measurement, signal))
-    return beliefs

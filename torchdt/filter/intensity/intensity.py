@@ -104,7 +104,7 @@ def tone_powers(
     """
     nothing = torch.zeros_like(moment).expand(*noise.shape, *moment.shape[-2:])
     measurement = context.measurement
-    covariance = context.model.noise.covariance(nothing, noise, measurement.present)
+    covariance = context.noise.covariance(nothing, noise, measurement.present)
     root = whiten(measurement, covariance).projection[..., : moment.shape[-1]]
     gain = (root.conj() * (moment @ root)).sum((-2, -1)).real
     level, share = settings.tone_levels(settings.level(noise))

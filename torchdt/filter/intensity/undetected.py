@@ -133,6 +133,22 @@ class Undetected:
             after = without(after, near)
         return after, objects, log_evidence
 
+    def left(self, residual: Unexplained, context: StepContext, known: int, beliefs: Beliefs) -> Unexplained:
+        """What the known objects leave unexplained, taken again where interferers explain some of it.
+
+        Args:
+            residual: what the known objects leave.
+            context: field, region, model and data.
+            known: number of slots that were known before the step.
+            beliefs: about the objects, the noise and interferers.
+        """
+        if beliefs.interferers is None or not beliefs.interferers.any:
+            return residual
+        new = torch.arange(beliefs.strength.shape[-2], device=beliefs.strength.device) >= known
+        earlier = beliefs._replace(strength=beliefs.strength.masked_fill(new[:, None], 0.0))
+        some = (beliefs.interferers.columns != 0).flatten(-3).any(-1)
+        return select(some, left_by(context, earlier, self.dictionary), residual)
+
     def around(self, objects: Objects) -> Tensor:
         """Cells in the neighbourhood of each object, `(*batch, N, C)` bool."""
         position = self.region.gather(objects.state, objects.log_weight)[..., : self.region.num_coordinates]
@@ -176,7 +192,7 @@ def doubted(context: StepContext, left: Unexplained, share: float) -> Unexplaine
     """
     present = context.measurement.present
     nothing = present.new_zeros((*present.shape, present.shape[-1]), dtype=present.dtype.to_complex())
-    alone = received_power(context.model.noise.covariance(nothing, left.noise, present))
+    alone = received_power(context.noise.covariance(nothing, left.noise, present))
     ratio = alone / (alone + share * left.received)
     cells = left.cells._replace(s=left.cells.s * ratio[..., None], q=left.cells.q * ratio[..., None] ** 2)
     return left._replace(cells=cells, noise=left.noise / ratio)
@@ -187,7 +203,7 @@ def left_by(context: StepContext, beliefs: Beliefs, dictionary: Dictionary) -> U
     measurement = context.measurement.tempered(append_dims(context.model.likelihood_power, 1))
     signal = signal_covariance(beliefs.strength, beliefs.moment)
     noise = beliefs.noise.mean.detach()
-    covariance = context.model.noise.covariance(signal, noise, measurement.present)
+    covariance = context.noise.covariance(signal, noise, measurement.present)
     cells = cell_statistics(dictionary, whiten(measurement, covariance))
     return Unexplained(cells, noise, received_power(signal.detach()))
 

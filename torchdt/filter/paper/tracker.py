@@ -152,7 +152,8 @@ class PaperTracker(Tracker[TrackerState]):
         variance = priors.noise_max[..., None] * along / cfg.noise_particles
         noise = Noise(variance, _even(variance.shape, variance))
         first = torch.ones(batch, dtype=torch.int64, device=self._idle.device)
-        return TrackerState(objects, noise, first, self._idle.new_zeros((*batch, 0)))
+        nothing = self._idle.new_zeros((*batch, 0))
+        return TrackerState(objects, noise, first, nothing, nothing)
 
     @torch.no_grad()
     def step(
@@ -185,7 +186,8 @@ class PaperTracker(Tracker[TrackerState]):
         objects, noise = pass_messages(objects, response, noise, measurement, model.noise, cfg.iterations)
         no_evidence = torch.full_like(noise.mean[..., 0], torch.nan)
         objects, next_label, estimate = report(objects, noise, state, no_evidence, self.region, cfg)
-        return TrackerState(empty_slots(objects, self._idle), noise, next_label, state.undetected), estimate
+        rest = next_label, state.undetected, state.interference
+        return TrackerState(empty_slots(objects, self._idle), noise, *rest), estimate
 
     def draw(self, streams: RandomStreams) -> PaperDraws:
         """Random numbers of a step, always as many, whatever the other sequences of the batch need."""

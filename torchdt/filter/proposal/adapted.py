@@ -66,7 +66,7 @@ class Adapted(Checked):
             draws,
             extra_signal,
             gradient=gradient,
-            noise_model=context.model.noise,
+            noise_model=context.noise,
             silent=predicted.silent,
         )
         return Placed(*placed)

@@ -11,7 +11,8 @@ from torch.nn.functional import pad
 from torchdt.core.importance import Box
 from torchdt.core.random import RandomStreams
 from torchdt.core.resampling import Resampler
-from torchdt.filter.bp.schedule import Beliefs, Schedule, as_belief, update
+from torchdt.filter.bp.schedule import Beliefs, Schedule, as_belief
+from torchdt.filter.bp.update import update
 from torchdt.filter.context import StepContext
 from torchdt.filter.predict import Predicted
 from torchdt.filter.proposal.base import NewbornDensity
@@ -77,7 +78,7 @@ class AsPredicted:
             sweeps=1,
             schedule=schedule,
             initial=beliefs._replace(objects=as_belief(objects)),
-            noise_model=context.model.noise,
+            noise_model=context.noise,
         )
         return Placed(objects, response, first)
 

@@ -21,7 +21,7 @@ from torchdt.filter.state import Objects
 from torchdt.model.existence import drop_outside
 from torchdt.model.measurement import Measurement
 from torchdt.model.motion.driving import Gradient, Score
-from torchdt.model.noise.base import NoiseModel
+from torchdt.model.noise.base import NoiseCovariance
 from torchdt.model.noise.white import WHITE
 from torchdt.model.region import Region
 
@@ -85,7 +85,7 @@ def propose_adapted(
     extra_signal: Tensor | None = None,
     *,
     gradient: Gradient = SCORE,
-    noise_model: NoiseModel = WHITE,
+    noise_model: NoiseCovariance = WHITE,
     silent: GaussianMixture | None = None,
 ) -> tuple[Objects, Tensor, Beliefs]:
     """Redraw the particles of every object where prediction and likelihood meet.

@@ -18,7 +18,7 @@ from torchdt.filter.state import Objects
 from torchdt.model.existence import drop_outside
 from torchdt.model.measurement import Measurement
 from torchdt.model.model import Model
-from torchdt.model.noise.base import Noise
+from torchdt.model.noise.base import Noise, NoiseCovariance
 from torchdt.model.region import Region
 
 ADAPTED = Adapted()
@@ -43,6 +43,7 @@ def propose_newborn(
     draws: Draws,
     *,
     proposal: Proposal = ADAPTED,
+    noise_model: NoiseCovariance | None = None,
 ) -> tuple[Objects, Tensor]:
     """New objects around the picks, with particles where prior and likelihood meet.
 
@@ -54,10 +55,11 @@ def propose_newborn(
         signal: `(*batch, I, M, M)` covariance of the known objects.
         noise: noise belief with known objects and picks explained.
         power_max: `(*batch, I)` upper limit of the powers.
-        model: statistical model, for places, powers and states of new objects, and noise.
+        model: statistical model, for places, powers and states of new objects.
         power_points: number G of their support points.
         draws: at least as many as picks.
         proposal: box of a new object, and density of its particles.
+        noise_model: what the noise makes of the covariance of the data; None is that of the model.
 
     Returns:
         Objects of batch `(*batch, Q)` (log-odds minus infinity where a pick is inactive), whose weights add
@@ -72,7 +74,8 @@ def propose_newborn(
     if picks.diffuse is not None:
         others = others + picks.power[..., None, None] * picks.diffuse
     per_pick = measurement.unsqueeze()
-    whitener = whiten(per_pick, model.noise.covariance(others, noise.mean[..., None, :], per_pick.present))
+    heard = model.noise if noise_model is None else noise_model
+    whitener = whiten(per_pick, heard.covariance(others, noise.mean[..., None, :], per_pick.present))
 
     log_odds = model.birth.log_odds(region, picks.position)
 

@@ -26,7 +26,7 @@ from torchdt.filter.proposal.moved import respond
 from torchdt.filter.proposal.strongest import strongest_cell
 from torchdt.model.existence import drop_outside
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood
-from torchdt.model.noise.base import Noise, NoiseModel
+from torchdt.model.noise.base import Noise, NoiseCovariance
 from torchdt.model.noise.white import WHITE
 from torchdt.model.region import Region
 
@@ -79,7 +79,7 @@ def search(
     *,
     proposal: Proposal = ADAPTED,
     favour: Favour = no_favour,
-    noise_model: NoiseModel = WHITE,
+    noise_model: NoiseCovariance = WHITE,
 ) -> tuple[Picks | None, Noise, Unexplained]:
     """Pick cells and refine them.
 
@@ -159,7 +159,7 @@ def _log_variance(noise: Noise) -> Tensor:
 
 
 def _log_likelihood(
-    measurement: Measurement, signal: Tensor, noise: Noise, noise_model: NoiseModel
+    measurement: Measurement, signal: Tensor, noise: Noise, noise_model: NoiseCovariance
 ) -> Tensor:
     covariance = noise_model.covariance(signal, noise.mean, measurement.present)
     return gaussian_log_likelihood(measurement, covariance).sum(-1)

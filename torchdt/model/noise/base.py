@@ -36,34 +36,8 @@ class Noise(NamedTuple):
         return self._replace(variance=torch.maximum(self.variance, least[..., None]))
 
 
-@runtime_checkable
-class NoiseModel(Protocol):
-    """How noise begins, changes, and adds to the covariance of the data; see `BaseNoise`."""
-
-    def check_array(self, num_tones: int, num_sensors: int) -> None:
-        """Refuse an array that the model is not for.
-
-        Raises:
-            InputError: naming what does not fit.
-        """
-        ...
-
-    def initial(self, maximum: Tensor, num_points: int) -> Noise:
-        """Belief of the first step.
-
-        Args:
-            maximum: `(*batch, I)` largest level before it.
-            num_points: E.
-        """
-        ...
-
-    def predict(self, noise: Noise) -> Noise:
-        """Belief one step later."""
-        ...
-
-    def resolvable(self, noise: Noise, measurement: Measurement, priors: Priors) -> Noise:
-        """The belief with no level below what numbers of its precision can tell from rounding."""
-        ...
+class NoiseCovariance(Protocol):
+    """What the noise of a step makes of the covariance of the data."""
 
     def covariance(self, signal: Tensor, variance: Tensor, present: Tensor) -> Tensor:
         """Covariance of the data, `(*batch, I, M, M)`, positive definite also where the signal is large.
@@ -97,12 +71,42 @@ class NoiseModel(Protocol):
         """
         ...
 
-    def on(self, region: Region) -> Self:
-        """The model with numbers in the type and on the device of a region."""
+    def select(self, sequences: slice | list[int]) -> Self:
+        """The same for some sequences of a batch."""
         ...
 
-    def select(self, sequences: slice | list[int]) -> Self:
-        """The model of some sequences of a batch."""
+
+@runtime_checkable
+class NoiseModel(NoiseCovariance, Protocol):
+    """How noise begins, changes, and adds to the covariance of the data; see `BaseNoise`."""
+
+    def check_array(self, num_tones: int, num_sensors: int) -> None:
+        """Refuse an array that the model is not for.
+
+        Raises:
+            InputError: naming what does not fit.
+        """
+        ...
+
+    def initial(self, maximum: Tensor, num_points: int) -> Noise:
+        """Belief of the first step.
+
+        Args:
+            maximum: `(*batch, I)` largest level before it.
+            num_points: E.
+        """
+        ...
+
+    def predict(self, noise: Noise) -> Noise:
+        """Belief one step later."""
+        ...
+
+    def resolvable(self, noise: Noise, measurement: Measurement, priors: Priors) -> Noise:
+        """The belief with no level below what numbers of its precision can tell from rounding."""
+        ...
+
+    def on(self, region: Region) -> Self:
+        """The model with numbers in the type and on the device of a region."""
         ...
 
 
