@@ -4,7 +4,10 @@ import torch
 
 from torchdt.app.build import simulate
 from torchdt.app.targets import build_field
-from torchdt.simulation.simulate import source_track
+from torchdt.run.track import generator
+from torchdt.simulation.disturbances import DisturbanceSettings
+from torchdt.simulation.settings import InterfererSettings
+from torchdt.simulation.simulate import simulate_interference, simulate_snapshots, source_track
 
 
 def read_table(path):
@@ -55,6 +58,23 @@ def test_simulated_power(settings):
     noise = simulate(s).snapshots.abs().square().mean()
     assert float(noise) == pytest.approx(10**-0.7 / 8, rel=0.02)
     assert float(10 * ((both - noise) / noise).log10()) == pytest.approx(7, abs=0.3)
+
+
+def test_what_is_beside_the_sources_changes_none_of_their_numbers(settings):
+    """Without interferers and disturbances it is the signal model alone, with them it has these on top."""
+    s = settings("seed=3")
+    stream, field = generator(3, "simulation"), build_field(s.field, torch.float64, "cpu")
+    alone, truth = simulate_snapshots(field, s.scenario, stream)
+    recording = simulate(s)
+    assert torch.equal(recording.snapshots[0], alone)
+    assert torch.equal(recording.truth[0].nan_to_num(), truth.nan_to_num())
+    s.scenario.interferers = {"ship": InterfererSettings("first", 10.0)}
+    s.scenario.disturbances = DisturbanceSettings(sensor_factors={2: 2.0})
+    heard = alone + simulate_interference(field, s.scenario, stream)
+    heard[..., 2] *= 2
+    recording = simulate(s)
+    torch.testing.assert_close(recording.snapshots[0], heard)
+    assert recording.truth[0].shape == truth.shape
 
 
 def test_configured_profile_follows_the_measured_one(settings, measured):

@@ -31,9 +31,10 @@ from torchdt.filter.paper.tracker import PaperTracker
 from torchdt.filter.tracker import Tracker
 from torchdt.model.region import Coordinate, Region
 from torchdt.run.track import generator
+from torchdt.simulation.disturbances import disturb
 from torchdt.simulation.generate import generate_snapshots
 from torchdt.simulation.settings import MismatchSettings
-from torchdt.simulation.simulate import simulate_interference, simulate_snapshots
+from torchdt.simulation.simulate import noise_variance, simulate_interference, simulate_snapshots
 from torchdt.tuning.sequences import stack_recordings
 
 log = logging.getLogger(__name__)
@@ -123,8 +124,10 @@ def simulate(settings: TrackSettings) -> Recording:
             z, position = generate_snapshots(
                 field, region.within(field), scenario, scenario.population, stream
             )
-        # Drawn last, so that what else there is stays the same without them.
-        snapshots.append(z + simulate_interference(field, scenario, stream))
+        # Drawn after all else, which stays the same without them.
+        z = z + simulate_interference(field, scenario, stream)
+        variance, glitches = noise_variance(field, scenario), generator(seed, "disturbances")
+        snapshots.append(disturb(z, scenario.disturbances, field, variance, glitches))
         truth.append(region.wrap(position))
     most = max(position.shape[1] for position in truth)
     padded = [pad(position, (0, 0, 0, most - position.shape[1]), value=torch.nan) for position in truth]

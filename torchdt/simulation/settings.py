@@ -25,6 +25,7 @@ from torchdt.core.ranges import (
 )
 from torchdt.model.distance import Distance, Euclidean, GreatCircle
 from torchdt.model.region import Coordinate
+from torchdt.simulation.disturbances import DisturbanceSettings
 
 AMPLITUDES = ("gaussian", "constant_modulus")
 DISTANCES = ("euclidean", "great_circle")
@@ -196,6 +197,7 @@ class ScenarioSettings(Checked):
         interferers: by name; sources that are not in the truth, on paths that may lie outside the region.
         population: draws the sources from the tracker's model; None for those of `sources`.
         mismatch: difference between the simulator's and the tracker's environment.
+        disturbances: of the snapshots, which the tracker's model does not hold.
         gospa_cutoff, gospa_order: c, in units of the distance, and p.
         gospa_distance: `euclidean`, the shortest way round where a coordinate has a period; or
             `great_circle`, degrees between directions given as azimuth, or azimuth and elevation, in degrees.
@@ -218,6 +220,7 @@ class ScenarioSettings(Checked):
     interferers: dict[str, InterfererSettings] = field(default_factory=dict)
     population: PopulationSettings | None = None
     mismatch: MismatchSettings = field(default_factory=MismatchSettings)
+    disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)
     gospa_cutoff: Positive = 200.0
     gospa_order: Annotated[float, Range("a number from 1 up", low=1, most=100)] = 1.0
     gospa_distance: Annotated[str, OneOf(DISTANCES)] = "euclidean"
