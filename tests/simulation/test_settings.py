@@ -11,7 +11,6 @@ from torchdt.model.distance import Euclidean, GreatCircle
 from torchdt.simulation.settings import (
     CoordinateSettings,
     InterfererSettings,
-    MismatchSettings,
     PathSettings,
     PopulationSettings,
     ScenarioSettings,
@@ -212,32 +211,6 @@ def test_a_scenario_file_may_hold_a_population():
     population = settings_of(composed).scenario.population
     assert population == PopulationSettings(0.05, 0.9, 50.0, 20.0, [-3.0, 3.0], 4)
     assert settings_of(plain).scenario.population is None
-
-
-@pytest.mark.parametrize(
-    ("settings", "key", "found", "expected"),
-    [
-        ({"eof_scale": -1.0}, "eof_scale", -1.0, "a number from 0 up"),
-        ({"tilt_deg": [2.0, 1.0]}, "tilt_deg", [2.0, 1.0], "[smallest, largest], both from 0 up"),
-        ({"water_depth_m": [1.0]}, "water_depth_m", [1.0], "[smallest, largest], both from 0 up"),
-        ({"tilt_deg": [-1.0, 1.0]}, "tilt_deg", [-1.0, 1.0], "a list, each entry a number from 0 up"),
-    ],
-)
-def test_mismatch(settings, key, found, expected):
-    refuse(lambda: MismatchSettings(**settings), f"scenario.mismatch.{key}", found, expected)
-
-
-@pytest.mark.parametrize(
-    ("settings", "matched"),
-    [
-        ({}, True),
-        ({"eof_scale": 1.0}, False),
-        ({"tilt_deg": [0.0, 1.0]}, False),
-        ({"water_depth_m": [0.0, 1.0]}, False),
-    ],
-)
-def test_whether_environments_match(settings, matched):
-    assert MismatchSettings(**settings).matched == matched
 
 
 COUNTS = ("slots", "particles", "power_points", "noise_points", "births", "sweeps")

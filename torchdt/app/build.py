@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 from torch.nn.functional import pad
 
 from torchdt.app.data_settings import DataSettings, SignalSettings
@@ -24,7 +24,6 @@ from torchdt.core.memory import require_memory
 from torchdt.data.npz import read_npz
 from torchdt.data.recording import Recording, validate
 from torchdt.field.base import BaseField
-from torchdt.field.build import EnvironmentDraw
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.paper.config import PaperConfig
 from torchdt.filter.paper.tracker import PaperTracker
@@ -33,7 +32,7 @@ from torchdt.model.region import Coordinate, Region
 from torchdt.run.track import generator
 from torchdt.simulation.disturbances import disturb
 from torchdt.simulation.generate import generate_snapshots
-from torchdt.simulation.settings import MismatchSettings
+from torchdt.simulation.mismatch import draw_environment, with_array_errors
 from torchdt.simulation.simulate import noise_variance, simulate_interference, simulate_snapshots
 from torchdt.tuning.sequences import stack_recordings
 
@@ -110,14 +109,15 @@ def simulate(settings: TrackSettings) -> Recording:
     require_memory(size, torch.device("cpu"), "scenario.num_steps", found)
     region = Region(build_region(settings, torch.float64).coordinates, torch.float64)
     snapshots, truth = [], []
-    nominal = None if not scenario.mismatch.matched else build_field(target, torch.float64, "cpu")
+    mismatch, target = scenario.mismatch, scenario.mismatch.shaped(target)
+    nominal = build_field(target, torch.float64, "cpu") if mismatch.matched else None
     for seed in range(settings.seed, settings.seed + settings.runs):
         stream = generator(seed, "simulation")
-        shared = scenario.mismatch.seed
-        around = stream if shared is None else generator(shared, "environment")
+        around = stream if mismatch.seed is None else generator(mismatch.seed, "environment")
         field = nominal or build_field(
-            target, torch.float64, "cpu", draw=draw_environment(scenario.mismatch, target, around)
+            target, torch.float64, "cpu", draw=draw_environment(mismatch, target, around)
         )
+        field = with_array_errors(field, mismatch, around)
         if scenario.population is None:
             z, position = simulate_snapshots(field, scenario, stream)
         else:
@@ -151,27 +151,6 @@ def check_coordinates(settings: TrackSettings, num_coordinates: int) -> None:
     found = len(settings.scenario.coordinates)
     expected = f"{num_coordinates}, as the field"
     require(found == num_coordinates, "scenario.coordinates", f"{found} coordinates", expected)
-
-
-def draw_environment(
-    mismatch: MismatchSettings, target: dict[str, Any], stream: Generator
-) -> EnvironmentDraw:
-    """One departure from the nominal environment."""
-
-    def magnitude(limits: list[float]) -> float:
-        size, sign = torch.rand(2, generator=stream, dtype=torch.float64).tolist()
-        return (limits[0] + (limits[1] - limits[0]) * size) * (1 if sign < 0.5 else -1)
-
-    eofs = target.get("eofs")
-    if eofs is None:
-        raise InputError.of_key(
-            "scenario.mismatch", "a mismatch", "none: this field has no environment to vary"
-        )
-    num = len(eofs["functions"][0])
-    coefficients = mismatch.eof_scale * torch.randn(num, generator=stream, dtype=torch.float64)
-    return EnvironmentDraw(
-        tuple(coefficients.tolist()), magnitude(mismatch.tilt_deg), magnitude(mismatch.water_depth_m)
-    )
 
 
 def build_tracker(

@@ -65,6 +65,7 @@ def waveguide(
     freqs: Sequence[float],
     element_depths: Sequence[float],
     tilt_deg: float = 0.0,
+    bow_m: float = 0.0,
     normalize: bool = True,
     max_phase_speed: float = 1750.0,
     points_per_wavelength: float = 16.0,
@@ -83,6 +84,7 @@ def waveguide(
         freqs: Hz.
         element_depths: m.
         tilt_deg: of the array, degrees, positive towards the source.
+        bow_m: how much nearer to the source the middle of the array is than the line through its ends, m.
         normalize: give each tone's response unit norm.
         max_phase_speed: of the modes kept, m/s.
         points_per_wavelength: of the depth mesh of the mode solver; more where its message asks for more.
@@ -118,6 +120,7 @@ def waveguide(
             element_depths,
             tilt_deg,
             normalize=normalize,
+            bow=bow_m,
             max_phase_speed=max_phase_speed,
             points_per_wavelength=points_per_wavelength,
             sign=sign,

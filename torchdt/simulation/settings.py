@@ -19,20 +19,17 @@ from torchdt.core.ranges import (
     Positive,
     Probability,
     Range,
-    Seed,
     StepIndex,
     Steps,
 )
 from torchdt.model.distance import Distance, Euclidean, GreatCircle
 from torchdt.model.region import Coordinate
 from torchdt.simulation.disturbances import DisturbanceSettings
+from torchdt.simulation.mismatch import MismatchSettings
 
 AMPLITUDES = ("gaussian", "constant_modulus")
 DISTANCES = ("euclidean", "great_circle")
 POWERS = ("log_uniform", "uniform")
-
-
-Magnitude = Annotated[float, Range("a number from 0 up", low=0, most=1e5)]
 
 
 @dataclass
@@ -97,37 +94,6 @@ class InterfererSettings(SourceSettings):
     """
 
     KEY: ClassVar[str] = "scenario.interferers"
-
-
-@dataclass
-class MismatchSettings(Checked):
-    """How the environment of the simulator differs from the tracker's; drawn anew for each run.
-
-    Attributes:
-        eof_scale: standard deviations per sound-speed EOF coefficient; 0 keeps the nominal profile.
-        tilt_deg: smallest and largest magnitude of the array tilt, degrees; the sign is random.
-        water_depth_m: smallest and largest magnitude of the change of water depth, m; random sign.
-        seed: of the one environment that all runs share; None draws each run's from its own seed.
-    """
-
-    KEY: ClassVar[str] = "scenario.mismatch"
-
-    eof_scale: Magnitude = 0.0
-    tilt_deg: list[Magnitude] = field(default_factory=lambda: [0.0, 0.0])
-    water_depth_m: list[Magnitude] = field(default_factory=lambda: [0.0, 0.0])
-    seed: Seed | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("tilt_deg", "water_depth_m"):
-            limits = getattr(self, name)
-            holds = len(limits) == 2 and limits[0] <= limits[1]
-            require(holds, f"scenario.mismatch.{name}", limits, "[smallest, largest], both from 0 up")
-
-    @property
-    def matched(self) -> bool:
-        """Whether the simulator keeps to the tracker's environment."""
-        return self.eof_scale == 0 and self.tilt_deg[1] == 0 and self.water_depth_m[1] == 0
 
 
 @dataclass
@@ -196,7 +162,7 @@ class ScenarioSettings(Checked):
         sources: by name; none is noise alone.
         interferers: by name; sources that are not in the truth, on paths that may lie outside the region.
         population: draws the sources from the tracker's model; None for those of `sources`.
-        mismatch: difference between the simulator's and the tracker's environment.
+        mismatch: difference between the simulator's environment and array and the tracker's.
         disturbances: of the snapshots, which the tracker's model does not hold.
         gospa_cutoff, gospa_order: c, in units of the distance, and p.
         gospa_distance: `euclidean`, the shortest way round where a coordinate has a period; or

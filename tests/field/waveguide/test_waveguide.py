@@ -29,12 +29,14 @@ def states():
     return unit * torch.tensor([4500.0, 200.0, 1.0, 1.0]) + torch.tensor([500.0, 5.0, 0.0, 0.0])
 
 
-def direct_sum(environment, frequency, sensors, tilt, distance, depth):
+def direct_sum(environment, frequency, sensors, tilt, distance, depth, bow=0.0):
     """The mode sum with every sensor at its own range, on a mesh four times as fine, by splines."""
     table = solve_modes(environment, frequency, points_per_wavelength=64.0, grid_step=0.1)
     spline = CubicSpline(table.depth, table.psi)
     sensors = np.array(sensors)
     ranges = distance - (sensors.max() - sensors) * math.tan(math.radians(tilt))
+    half = np.ptp(sensors) / 2  # a parabola that leaves the ends where they are
+    ranges -= bow * (1 - ((sensors - sensors.max() + half) / half) ** 2)
     k = table.wavenumber - 1j * table.attenuation
     terms = spline(depth) * spline(sensors) * np.exp(-1j * k * ranges[:, None])
     return (terms / np.sqrt(table.wavenumber * distance)).sum(-1)
@@ -48,6 +50,23 @@ def test_equals_the_direct_sum(swellex, tones, sensors, tilt, position):
     for i, f in enumerate(tones):
         expected = direct_sum(swellex, f, sensors, tilt, *position)
         assert np.linalg.norm(response[i] - expected) < 3e-3 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("bow", [2.5, -1.0])
+def test_a_bowed_array(swellex, tones, sensors, bow):
+    field = NormalModeField(swellex, tones, sensors, TILT, bow=bow, normalize=False, dtype=DOUBLE)
+    response = field(torch.tensor([3001.7, 58.0], dtype=DOUBLE)).numpy()
+    for i, f in enumerate(tones):
+        expected = direct_sum(swellex, f, sensors, TILT, 3001.7, 58.0, bow)
+        assert np.linalg.norm(response[i] - expected) < 3e-3 * np.linalg.norm(expected)
+
+
+def test_one_sensor_has_no_bow(swellex, tones):
+    one, bent = (NormalModeField(swellex, tones, [50.0], bow=bow, dtype=DOUBLE) for bow in (0.0, 2.0))
+    state = torch.tensor([3001.7, 58.0], dtype=DOUBLE)
+    assert torch.equal(one(state), bent(state))
+    with pytest.raises(ValueError, match="bow is inf; expected a finite number"):
+        NormalModeField(swellex, tones, [50.0], bow=math.inf)
 
 
 def test_normalisation_changes_only_the_norm(swellex, tones, sensors, exact, states):

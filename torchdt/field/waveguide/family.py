@@ -14,7 +14,8 @@ from torch import Tensor
 from torchdt.core.support import REAL, Quantity
 from torchdt.field.base import Field
 from torchdt.field.build import EnvironmentDraw
-from torchdt.field.waveguide.waveguide import NormalModeField, interpolate_modes
+from torchdt.field.waveguide.shapes import interpolate_modes
+from torchdt.field.waveguide.waveguide import NormalModeField
 
 ENVIRONMENT = {
     "eof_coefficients": Quantity(REAL, vector=True),

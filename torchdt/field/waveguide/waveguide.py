@@ -6,12 +6,12 @@ from typing import Self
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from torchdt.field.array import require_sign
 from torchdt.field.base import BaseField
 from torchdt.field.waveguide.environment import Environment
-from torchdt.field.waveguide.modes import ModeTable, solve_modes
+from torchdt.field.waveguide.modes import solve_modes
+from torchdt.field.waveguide.shapes import interleave, interpolate_modes
 
 MIN_RANGE = 1.0
 MIN_DEPTH = 0.01
@@ -28,10 +28,10 @@ class NormalModeField(nn.Module, BaseField):
 
     Here `k_n = kr_n - i alpha_n`: the far field of Jensen, Kuperman, Porter and Schmidt, Computational Ocean
     Acoustics, 2nd ed. 2011, ch. 5, for a time factor `exp(i omega t)` and up to a constant factor: what
-    arrives later has the smaller phase. With `sign` -1 it is the conjugate. The array
-    leans towards the source by the tilt `t`, so that `r_m = r - (z_ref - z_m) tan t` with `z_ref` the deepest
-    sensor. A mode's phase is taken in float64 whatever the type of the state, because thousands of radians
-    leave float32 too few digits.
+    arrives later has the smaller phase. With `sign` -1 it is the conjugate. The array leans towards the source
+    by the tilt `t`, so that `r_m = r - (z_ref - z_m) tan t` with `z_ref` the deepest sensor, less its bow. A
+    mode's phase is taken in float64 whatever the type of the state, because thousands of radians leave float32
+    too few digits.
 
     The state is range m, depth m, and what else the caller keeps there. Ranges below `MIN_RANGE` and depths
     outside the water count as the nearest one inside, with derivative zero: values and gradients stay finite,
@@ -44,6 +44,8 @@ class NormalModeField(nn.Module, BaseField):
         tilt: degrees. A number is folded into the receivers once; a tensor (say, a parameter to be learnt) at
             every call, and the response is differentiable in it.
         normalize: give each tone's response unit norm over the sensors.
+        bow: how much nearer to the source the middle of the array is than the line through its ends, m; a
+            parabola in depth.
         max_phase_speed: modes of a higher phase speed are left out, m/s, see `solve_modes`.
         points_per_wavelength: of the depth mesh on which the modes are computed, see `solve_modes`.
         sign: +1 for spectra whose time factor is `exp(i omega t)`, as of an FFT; -1 for their conjugates.
@@ -72,6 +74,7 @@ class NormalModeField(nn.Module, BaseField):
         tilt: float | Tensor = 0.0,
         *,
         normalize: bool = True,
+        bow: float = 0.0,
         max_phase_speed: float = 1750.0,
         points_per_wavelength: float = 16.0,
         sign: int = 1,
@@ -85,6 +88,8 @@ class NormalModeField(nn.Module, BaseField):
             raise ValueError(f"freqs is {tuple(freqs)}; expected one positive frequency or more")
         if not (isinstance(tilt, Tensor) or -90 < tilt < 90):
             raise ValueError(f"tilt is {tilt}; expected degrees between -90 and 90")
+        if not math.isfinite(bow):
+            raise ValueError(f"bow is {bow}; expected a finite number")
         if not max_phase_speed > 0:
             raise ValueError(f"max_phase_speed is {max_phase_speed}; expected a positive number")
         if len(sensor_depths) == 0 or not all(0 <= z <= bottom for z in sensor_depths):
@@ -95,7 +100,7 @@ class NormalModeField(nn.Module, BaseField):
         self.num_sensors = len(sensor_depths)
         self.normalize, self.sign = normalize, sign
         self.water_depth: float | Tensor = bottom
-        self.tilt = tilt
+        self.tilt, self.bow = tilt, bow
 
         tables = [solve_modes(environment, float(f), max_phase_speed, points_per_wavelength) for f in freqs]
         self.mode_counts = [len(table.wavenumber) for table in tables]
@@ -104,7 +109,7 @@ class NormalModeField(nn.Module, BaseField):
             for name in ("wavenumber", "attenuation")
         )
         depths = torch.tensor(list(sensor_depths), dtype=torch.float64, device=device)
-        shapes = torch.cat([_interleave(table, device) for table in tables], dim=1)
+        shapes = torch.cat([interleave(table, device) for table in tables], dim=1)
         real = dtype or torch.get_default_dtype()
         for name, value, kind in (
             ("_shapes", shapes, real),
@@ -166,7 +171,7 @@ class NormalModeField(nn.Module, BaseField):
         """
         position = state[..., :2].reshape(-1, 2)
         distance = position[:, 0].clamp(min=MIN_RANGE)
-        power = (self._depth_functions(position[:, 1]) * torch.exp(-distance[:, None] * self._loss)).square()
+        power = self._amplitudes(distance, position[:, 1]).square()
         folded = self._fold() if self._folded is None else self._folded
         receivers = torch.view_as_complex(folded[0].unflatten(-1, (self.num_sensors, 2)))
         covariance = torch.stack(
@@ -186,6 +191,14 @@ class NormalModeField(nn.Module, BaseField):
     def _signed(self, spectrum: Tensor) -> Tensor:
         return spectrum if self.sign == 1 else spectrum.conj_physical()
 
+    def _travelled(self, distance: Tensor) -> Tensor:
+        """`(S, N)` cycles, in float64, by which modes turn on their way over distances `(S,)`."""
+        return distance.double()[:, None] * self._cycles
+
+    def _amplitudes(self, distance: Tensor, depth: Tensor) -> Tensor:
+        """`(S, N)` amplitudes of the modes that reach the array from ranges and depths `(S,)`."""
+        return self._depth_functions(depth) * torch.exp(-distance[:, None] * self._loss)
+
     def _depth_functions(self, depth: Tensor) -> Tensor:
         """`(S, N)` mode functions at source depths `(S,)`, kept inside the water."""
         bottom = torch.as_tensor(self.water_depth, dtype=depth.dtype, device=depth.device)
@@ -196,9 +209,8 @@ class NormalModeField(nn.Module, BaseField):
         """`(L, S, 2)` positions to `(L, I, S, 2 M)` responses, real and imaginary parts alternating."""
         flat = position.flatten(0, 1)
         distance = flat[:, 0].clamp(min=MIN_RANGE)
-        cycles = (distance.double()[:, None] * self._cycles).frac_()
-        phase = 2 * math.pi * cycles.to(position.dtype)
-        amplitude = self._depth_functions(flat[:, 1]) * torch.exp(-distance[:, None] * self._loss)
+        phase = 2 * math.pi * self._travelled(distance).frac_().to(position.dtype)
+        amplitude = self._amplitudes(distance, flat[:, 1])
         parts = [(amplitude * wave).split(self.mode_counts, 1) for wave in (phase.cos(), phase.sin())]
         tones = [
             torch.addmm(real @ rows[0], imag, rows[1]).unflatten(0, position.shape[:2])
@@ -212,7 +224,8 @@ class NormalModeField(nn.Module, BaseField):
     def _fold(self) -> Tensor:
         """Receivers with `exp(i k_n (r - r_m))`: what cosines and sines multiply, in real numbers."""
         tilt = torch.as_tensor(self.tilt, dtype=torch.float64, device=self._heights.device)
-        nearer = torch.tan(torch.deg2rad(tilt)) * self._heights
+        along = self._heights / self._heights.max().clamp(min=MIN_DEPTH)
+        nearer = torch.tan(torch.deg2rad(tilt)) * self._heights + 4 * self.bow * along * (1 - along)
         phase = -2 * math.pi * self._cycles[:, None] * nearer
         gain = self._receivers * torch.exp(self._loss.double()[:, None] * nearer)
         real, imag = gain * torch.cos(phase), gain * torch.sin(phase)
@@ -223,30 +236,3 @@ class NormalModeField(nn.Module, BaseField):
 def _join(parts: Sequence[Tensor], dim: int) -> Tensor:
     """Concatenate; a single part is taken as it is."""
     return parts[0] if len(parts) == 1 else torch.cat(list(parts), dim)
-
-
-def _interleave(table: ModeTable, device: torch.device | str | None) -> Tensor:
-    """`(2 G, N)` mode functions and slopes times the grid step, row by row in turn."""
-    step = table.depth[1] - table.depth[0]
-    pair = torch.stack([torch.tensor(rows, device=device) for rows in (table.psi, table.slope * step)], dim=1)
-    return pair.flatten(0, 1)
-
-
-def interpolate_modes(shapes: Tensor, fraction: Tensor) -> Tensor:
-    """Cubic Hermite interpolation, once continuously differentiable.
-
-    Args:
-        shapes: `(2 G, N)` of `_interleave`.
-        fraction: `(S,)` depths as fractions of the grid's depth, 0 to 1.
-
-    Returns:
-        `(S, N)` mode functions.
-    """
-    num_cells = len(shapes) // 2 - 1
-    position = fraction * num_cells
-    cell = position.detach().long().clamp(0, num_cells - 1)
-    t = position - cell
-    u = 1 - t
-    weights = torch.stack([(1 + 2 * t) * u * u, t * u * u, (1 + 2 * u) * t * t, -u * t * t], dim=-1)
-    rows = 2 * cell[:, None] + torch.arange(4, device=cell.device)
-    return functional.embedding_bag(rows, shapes, per_sample_weights=weights, mode="sum")
