@@ -71,7 +71,9 @@ def test_a_field_without_environment():
 
 
 def test_what_differs_in_all_runs_adds_to_the_configuration():
-    assert MismatchSettings(bow_m=2.0).shaped(TARGET | {"bow_m": 0.5}) == TARGET | {"bow_m": 2.5}
+    told = TARGET | {"bow_m": 0.5}
+    shaped = MismatchSettings(bow_m=2.0, slope_m_per_km=5.0).shaped(told)
+    assert shaped == TARGET | {"bow_m": 2.5, "slope_m_per_km": 5.0}
 
 
 def test_gains_and_phases_of_sensors():

@@ -6,7 +6,8 @@ group by these names.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -17,6 +18,7 @@ from torchdt.field.plane_wave import LineArrayField, PlaneWaveField
 from torchdt.field.spherical_wave import SphericalWaveField
 from torchdt.field.waveguide.environment import Environment, HalfSpace, Layer, combine_eofs
 from torchdt.field.waveguide.modes import ModeSolverError
+from torchdt.field.waveguide.sloped import SlopedField
 from torchdt.field.waveguide.waveguide import NormalModeField
 
 
@@ -66,6 +68,8 @@ def waveguide(
     element_depths: Sequence[float],
     tilt_deg: float = 0.0,
     bow_m: float = 0.0,
+    slope_m_per_km: float = 0.0,
+    slope_length_m: float = 5000.0,
     normalize: bool = True,
     max_phase_speed: float = 1750.0,
     points_per_wavelength: float = 16.0,
@@ -85,6 +89,8 @@ def waveguide(
         element_depths: m.
         tilt_deg: of the array, degrees, positive towards the source.
         bow_m: how much nearer to the source the middle of the array is than the line through its ends, m.
+        slope_m_per_km: how much the bottom rises away from the array; 0 is a flat one.
+        slope_length_m: range at which the slope ends, m; the bottom is flat beyond.
         normalize: give each tone's response unit norm.
         max_phase_speed: of the modes kept, m/s.
         points_per_wavelength: of the depth mesh of the mode solver; more where its message asks for more.
@@ -114,7 +120,10 @@ def waveguide(
             depth = environment.water_depth + draw.water_depth_m
             environment = environment.perturbed(water_depth=depth, delta_c=delta)
             tilt_deg = tilt_deg + draw.tilt_deg
-        return NormalModeField(
+        kind: Callable[..., NormalModeField] = NormalModeField
+        if slope_m_per_km:
+            kind = partial(SlopedField, slope=slope_m_per_km / 1000, length=slope_length_m)
+        return kind(
             environment,
             freqs,
             element_depths,

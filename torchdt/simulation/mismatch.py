@@ -26,6 +26,7 @@ class MismatchSettings(Checked):
         tilt_deg: smallest and largest magnitude of the array tilt, degrees; the sign is random.
         water_depth_m: smallest and largest magnitude of the change of water depth, m; random sign.
         bow_m: added to how much nearer to the source the middle of a vertical array is than its ends, m.
+        slope_m_per_km: added to how much the bottom rises from the array on, in all directions.
         gain_db: standard deviation of the gains of the sensors, dB, alike for all tones.
         phase_deg: standard deviation of the phases of the sensors, degrees, alike for all tones.
         seed: of the one environment and array that all runs share; None draws each run's from its own seed.
@@ -37,6 +38,7 @@ class MismatchSettings(Checked):
     tilt_deg: list[Magnitude] = field(default_factory=lambda: [0.0, 0.0])
     water_depth_m: list[Magnitude] = field(default_factory=lambda: [0.0, 0.0])
     bow_m: Finite = 0.0
+    slope_m_per_km: Finite = 0.0
     gain_db: Spread = 0.0
     phase_deg: Spread = 0.0
     seed: Seed | None = None
@@ -59,10 +61,11 @@ class MismatchSettings(Checked):
         Raises:
             InputError: where the field has no such thing.
         """
-        if self.bow_m == 0:
+        added = {name: getattr(self, name) for name in ("bow_m", "slope_m_per_km")}
+        if not any(added.values()):
             return target
         _require_waveguide(target)
-        return target | {"bow_m": target.get("bow_m", 0.0) + self.bow_m}
+        return target | {name: target.get(name, 0.0) + value for name, value in added.items()}
 
 
 def draw_environment(

@@ -11,10 +11,12 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
+from torchdt.core.errors import require
 from torchdt.core.support import REAL, Quantity
 from torchdt.field.base import Field
 from torchdt.field.build import EnvironmentDraw
 from torchdt.field.waveguide.shapes import interpolate_modes
+from torchdt.field.waveguide.sloped import SlopedField
 from torchdt.field.waveguide.waveguide import NormalModeField
 
 ENVIRONMENT = {
@@ -70,8 +72,13 @@ class WaveguideFamily:
         Returns:
             A function from theta to the field: exact in the tilt, of first order in all else. Modes that only
             some neighbouring environments have, at the edge of the phase speeds kept, are left out.
+
+        Raises:
+            InputError: where the bottom is not flat.
         """
         centre = self.solve(theta0)
+        flat = not isinstance(centre, SlopedField)
+        require(flat, "field.slope_m_per_km", "a slope", "0, where the environment is fitted or tuned")
         modal = [j for j in range(len(theta0)) if j != len(theta0) - 2]
         sides = []
         for j in modal:

@@ -28,10 +28,10 @@ class NormalModeField(nn.Module, BaseField):
 
     Here `k_n = kr_n - i alpha_n`: the far field of Jensen, Kuperman, Porter and Schmidt, Computational Ocean
     Acoustics, 2nd ed. 2011, ch. 5, for a time factor `exp(i omega t)` and up to a constant factor: what
-    arrives later has the smaller phase. With `sign` -1 it is the conjugate. The array leans towards the source
-    by the tilt `t`, so that `r_m = r - (z_ref - z_m) tan t` with `z_ref` the deepest sensor, less its bow. A
-    mode's phase is taken in float64 whatever the type of the state, because thousands of radians leave float32
-    too few digits.
+    arrives later has the smaller phase. With `sign` -1 it is the conjugate. The array leans towards the
+    source by the tilt `t`, so that `r_m = r - (z_ref - z_m) tan t` with `z_ref` the deepest sensor, less its
+    bow. A mode's phase is taken in float64 whatever the type of the state, because thousands of radians leave
+    float32 too few digits.
 
     The state is range m, depth m, and what else the caller keeps there. Ranges below `MIN_RANGE` and depths
     outside the water count as the nearest one inside, with derivative zero: values and gradients stay finite,
@@ -59,6 +59,7 @@ class NormalModeField(nn.Module, BaseField):
     """
 
     num_coordinates = 2
+    _exact: tuple[str, ...] = ("_cycles", "_receivers", "_heights")  # float64 whatever the type of the field
     _shapes: Tensor  # (2 G, N): rows alternate between mode functions and their slopes times the grid step
     _loss: Tensor  # (N,) attenuation, Np/m
     _cycles: Tensor  # (N,) minus wavenumber / 2 pi, 1/m, float64
@@ -124,7 +125,7 @@ class NormalModeField(nn.Module, BaseField):
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
         # A change of type, as by `module.float()`, must not reach what is float64 on purpose.
-        exact = {name: getattr(self, name) for name in ("_cycles", "_receivers", "_heights")}
+        exact = {name: getattr(self, name) for name in self._exact}
         super()._apply(fn, recurse)
         for name, value in exact.items():
             setattr(self, name, value.to(self._shapes.device))
