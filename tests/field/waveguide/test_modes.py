@@ -89,6 +89,23 @@ def test_layers_and_halfspace_are_one_medium_when_their_figures_agree():
     np.testing.assert_allclose(two.attenuation, one.attenuation, rtol=1e-3)
 
 
+def test_attenuation_per_wavelength_is_that_of_the_speed_at_each_depth():
+    """A layer with a gradient against thin uniform ones, each with its own dB/(km Hz)."""
+    half = HalfSpace(2600.0, 2.0, 0.3, "dB/wavelength")
+    layer = Layer(180.0, 1550.0, 2500.0, 1.7, 0.5, "dB/wavelength")
+    edges = np.linspace(DEPTH, 180.0, 161)
+    speeds = 1550.0 + 950.0 * (edges - DEPTH) / 80.0
+    middle = (speeds[1:] + speeds[:-1]) / 2
+    thin = tuple(Layer(z, c, c, 1.7, 1000 * 0.5 / c) for z, c in zip(edges[1:], middle, strict=True))
+    water = ((0.0, SPEED), (DEPTH, SPEED))
+    graded = solve_modes(Environment(water, (layer,), half), FREQ)
+    stack = solve_modes(Environment(water, thin, HalfSpace(2600.0, 2.0, 1000 * 0.3 / 2600.0)), FREQ)
+    np.testing.assert_allclose(graded.wavenumber, stack.wavenumber, rtol=1e-5)
+    np.testing.assert_allclose(graded.attenuation, stack.attenuation, rtol=2e-3)
+    at_top = Environment(water, (Layer(180.0, 1550.0, 2500.0, 1.7, 1000 * 0.5 / 1550.0),), half)
+    assert (solve_modes(at_top, FREQ).attenuation / stack.attenuation).max() > 1.05
+
+
 class Stack:
     """Characteristic function of uniform layers over a half-space, from `psi` and `psi' / rho` going down."""
 

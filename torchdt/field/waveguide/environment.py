@@ -10,6 +10,9 @@ import numpy as np
 
 Knots = tuple[tuple[float, float], ...]
 
+ATTENUATION_UNITS = ("dB/(km Hz)", "dB/(m kHz)", "dB/wavelength")
+"""The first two are the same; one of the last is `1000 / c` of them where the speed is c m/s."""
+
 
 @dataclass(frozen=True)
 class Layer:
@@ -20,10 +23,11 @@ class Layer:
         speed_top: sound speed at the upper boundary, m/s.
         speed_bottom: sound speed at the lower boundary, m/s.
         density: g/cm^3, water being 1.
-        attenuation: dB/(km Hz).
+        attenuation: in its unit.
+        attenuation_unit: one of `ATTENUATION_UNITS`; the wavelength is that at each depth.
 
     Raises:
-        ValueError: if a figure is not finite, or not positive (attenuation: negative).
+        ValueError: if a figure is not finite, or not positive (attenuation: negative), or the unit unknown.
     """
 
     bottom: float
@@ -31,11 +35,12 @@ class Layer:
     speed_bottom: float
     density: float
     attenuation: float
+    attenuation_unit: str = ATTENUATION_UNITS[0]
 
     def __post_init__(self) -> None:
         for name in ("bottom", "speed_top", "speed_bottom", "density"):
             _check_positive(name, getattr(self, name))
-        _check_not_negative("attenuation", self.attenuation)
+        _check_attenuation(self.attenuation, self.attenuation_unit)
 
 
 @dataclass(frozen=True)
@@ -45,20 +50,22 @@ class HalfSpace:
     Attributes:
         speed: sound speed, m/s.
         density: g/cm^3, water being 1.
-        attenuation: dB/(km Hz).
+        attenuation: in its unit.
+        attenuation_unit: one of `ATTENUATION_UNITS`.
 
     Raises:
-        ValueError: if a figure is not finite, or not positive (attenuation: negative).
+        ValueError: if a figure is not finite, or not positive (attenuation: negative), or the unit unknown.
     """
 
     speed: float
     density: float
     attenuation: float
+    attenuation_unit: str = ATTENUATION_UNITS[0]
 
     def __post_init__(self) -> None:
         _check_positive("speed", self.speed)
         _check_positive("density", self.density)
-        _check_not_negative("attenuation", self.attenuation)
+        _check_attenuation(self.attenuation, self.attenuation_unit)
 
 
 @dataclass(frozen=True)
@@ -170,6 +177,8 @@ def _check_positive(name: str, value: float) -> None:
         raise ValueError(f"{name} is {value}; expected a positive number")
 
 
-def _check_not_negative(name: str, value: float) -> None:
+def _check_attenuation(value: float, unit: str) -> None:
     if not (math.isfinite(value) and value >= 0):
-        raise ValueError(f"{name} is {value}; expected a number not below zero")
+        raise ValueError(f"attenuation is {value}; expected a number not below zero")
+    if unit not in ATTENUATION_UNITS:
+        raise ValueError(f"attenuation_unit is {unit!r}; expected one of {ATTENUATION_UNITS}")

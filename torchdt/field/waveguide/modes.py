@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.linalg import LinAlgError, eigh, eigh_tridiagonal, svd
 
-from torchdt.field.waveguide.environment import Environment
+from torchdt.field.waveguide.environment import Environment, HalfSpace, Layer
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,8 @@ class _Mesh:
     speed_top: Array
     speed_bottom: Array
     density: Array
-    attenuation: Array  # Np/m
+    attenuation: Array  # Np/m, the part that is the same at all speeds
+    loss_parameter: Array  # Np/rad, the part that goes with the wavenumber omega / c
 
     def halved(self) -> "_Mesh":
         middle = (self.speed_top + self.speed_bottom) / 2
@@ -64,6 +65,7 @@ class _Mesh:
             np.column_stack([middle, self.speed_bottom]).ravel(),
             np.repeat(self.density, 2),
             np.repeat(self.attenuation, 2),
+            np.repeat(self.loss_parameter, 2),
         )
 
 
@@ -164,38 +166,43 @@ def _build_mesh(
 ) -> _Mesh:
     """Mesh with nodes at all kinks and jumps, so that the error is a clean series in the squared step."""
     omega = 2 * math.pi * frequency
-    # (thickness, speed at top, speed at bottom, density, attenuation) of pieces with linear speed
-    pieces = [(z1 - z0, c0, c1, 1.0, 0.0) for (z0, c0), (z1, c1) in pairwise(environment.profile)]
+    # (thickness, speed at top, speed at bottom, density, attenuation, loss parameter) of pieces, speed linear
+    pieces = [(z1 - z0, c0, c1, 1.0, 0.0, 0.0) for (z0, c0), (z1, c1) in pairwise(environment.profile)]
     top = environment.water_depth
     for layer in environment.layers:
-        pieces.append(
-            (layer.bottom - top, layer.speed_top, layer.speed_bottom, layer.density, layer.attenuation)
-        )
+        loss = _absorption(layer, frequency)
+        pieces.append((layer.bottom - top, layer.speed_top, layer.speed_bottom, layer.density, *loss))
         top = layer.bottom
     half = environment.halfspace
     decay = omega * math.sqrt(1 / max_phase_speed**2 - 1 / half.speed**2)
-    pieces.append((_DECAY_NEPERS / decay, half.speed, half.speed, half.density, half.attenuation))
+    loss = _absorption(half, frequency)
+    pieces.append((_DECAY_NEPERS / decay, half.speed, half.speed, half.density, *loss))
 
-    min_speed = min(min(c0, c1) for _, c0, c1, _, _ in pieces)
+    min_speed = min(min(c0, c1) for _, c0, c1, *_ in pieces)
     step = min_speed / frequency / points_per_wavelength
     columns = []
-    for thickness, c0, c1, density, attenuation in pieces:
+    for thickness, c0, c1, *uniform in pieces:
         count = math.ceil(thickness / step)
         speed = np.linspace(c0, c1, count + 1)
         same = np.ones(count)
-        neper = attenuation * frequency / 1000 * _NEPER_PER_DB
-        columns.append([same * thickness / count, speed[:-1], speed[1:], same * density, same * neper])
-    size, speed_top, speed_bottom, density_, attenuation_ = (
-        np.concatenate(column) for column in zip(*columns, strict=True)
-    )
+        columns.append([same * thickness / count, speed[:-1], speed[1:], *(same * x for x in uniform)])
+    mesh = _Mesh(*(np.concatenate(column) for column in zip(*columns, strict=True)))
 
     # Leave out what lies deeper than the slowest decaying mode reaches.
-    speed_middle = (speed_top + speed_bottom) / 2
-    below = np.cumsum(size) > environment.water_depth + size.min() / 2
+    speed_middle = (mesh.speed_top + mesh.speed_bottom) / 2
+    depth = np.cumsum(mesh.size)
+    below = depth > environment.water_depth + mesh.size.min() / 2
     rate = omega * np.sqrt(np.maximum(1 / max_phase_speed**2 - 1 / speed_middle**2, 0.0))
-    decayed = np.cumsum(np.where(below, rate * size, 0.0))
+    decayed = np.cumsum(np.where(below, rate * mesh.size, 0.0))
     end = int(np.searchsorted(decayed, _DECAY_NEPERS)) + 1
-    return _Mesh(size[:end], speed_top[:end], speed_bottom[:end], density_[:end], attenuation_[:end])
+    return _Mesh(*(column[:end] for column in vars(mesh).values()))
+
+
+def _absorption(medium: Layer | HalfSpace, frequency: float) -> tuple[float, float]:
+    """Attenuation in Np/m and loss parameter in Np/rad, one of them zero."""
+    if medium.attenuation_unit == "dB/wavelength":
+        return 0.0, medium.attenuation / (2 * math.pi) * _NEPER_PER_DB
+    return medium.attenuation * frequency / 1000 * _NEPER_PER_DB, 0.0
 
 
 def _solve_mesh(mesh: _Mesh, frequency: float, max_phase_speed: float) -> tuple[Array, Array, Array]:
@@ -223,10 +230,11 @@ def _solve_mesh(mesh: _Mesh, frequency: float, max_phase_speed: float) -> tuple[
         raise ModeSolverError(f"eigenvalue solver returned numbers that are not finite at {frequency} Hz")
     k2, vectors = k2[::-1], vectors[:, ::-1]
     psi = np.pad(vectors / np.sqrt(mass)[:, None], ((1, 1), (0, 0)))
-    loss = _lump(
-        half_mass * mesh.attenuation * omega / mesh.speed_top,
-        half_mass * mesh.attenuation * omega / mesh.speed_bottom,
+    at_top, at_bottom = (
+        half_mass * (mesh.attenuation + mesh.loss_parameter * k) * k
+        for k in (omega / mesh.speed_top, omega / mesh.speed_bottom)
     )
+    loss = _lump(at_top, at_bottom)
     return k2, (psi.T * loss) @ psi, psi
 
 
