@@ -15,6 +15,7 @@ from torchdt.data.npz import read_npz
 from torchdt.data.signals.readers import open_npy, open_wav
 from torchdt.data.signals.sio import open_sio
 from torchdt.data.signals.truth import read_truth
+from torchdt.field import read_env
 
 NOT_UTF8 = os.fsdecode(b"array\xff")
 
@@ -37,7 +38,7 @@ def paths(tmp_path):
     }
 
 
-@pytest.mark.parametrize("read", [read_npz, read_tart, open_wav, open_npy, open_sio, read_table])
+@pytest.mark.parametrize("read", [read_npz, read_tart, read_env, open_wav, open_npy, open_sio, read_table])
 def test_what_is_no_file_is_refused(paths, read):
     for path, found in paths.items():
         with pytest.raises(InputError, match=f"found .*{found}") as caught:
