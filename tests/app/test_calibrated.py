@@ -142,7 +142,8 @@ def test_a_field_without_environment_is_refused(launch):
 def test_a_waveguide_without_eofs_is_refused(launch):
     outcome = launch(*TINY, *MATCHED, small=False)
     assert outcome.status == 1
-    assert "key 'calibration.enabled': found True, expected false" in outcome.err
+    assert "key 'calibration.enabled': found True, expected false (calibration=none), or" in outcome.err
+    assert "EOFs in field.eofs" in outcome.err
 
 
 def test_settings_out_of_range_are_named(launch):

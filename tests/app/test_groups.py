@@ -10,6 +10,7 @@ from hydra.plugins.launcher import Launcher
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from oracles.scripts import CONF, SMALL, configuration, configured
+from oracles.waveguide import ENV_FILE
 
 from torchdt.app import targets
 from torchdt.app.build import build_region, build_tracker, simulate
@@ -23,10 +24,11 @@ from torchdt.run.track import track
 pytestmark = pytest.mark.slow
 SHORT = ("scenario.num_steps=2", "logging=quiet")
 GIVEN = {
+    ("field", "env_file"): (f"field.env_file={ENV_FILE}",),
     ("model/noise", "coloured"): (f"model.noise.matrix={torch.eye(8).tolist()}",),
     ("model/birth", "areas"): ("model.birth.areas=[{low: [-70], high: [0]}]",),
 }
-"""What parts of the model have no default for, on the line array."""
+"""What has no default; that of parts of the model is for the line array."""
 PLANE = {("model/motion", "constant_turn")}
 """Parts for two coordinates."""
 
@@ -81,7 +83,7 @@ def test_no_group_is_forgotten():
 
 @pytest.mark.parametrize("name", options("field"))
 def test_field(build, name):
-    field = build(settings(f"field={name}").field)
+    field = build(settings(f"field={name}", *GIVEN.get(("field", name), ())).field)
     state = torch.full((3, field.num_coordinates), 0.3, dtype=torch.float64)
     response = field(state)
     assert response.shape == (3, field.num_tones, field.num_sensors)

@@ -73,3 +73,58 @@ def test_waveguide_takes_the_mesh():
 def test_waveguide_without_modes_is_named(freqs, mesh, message):
     with pytest.raises(InputError, match=message):
         waveguide(**GUIDE, freqs=freqs, element_depths=[20.0], points_per_wavelength=mesh)
+
+
+WATER = {"freqs": [300.0], "element_depths": [20.0, 70.0], "dtype": torch.float64}
+FILE = "'Own'\n300\n1\n'CVW'\n0 0 100\n0 1450 /\n100 1550 /\n'A' 0\n100 1600 0 1.5 0.16 /\n"
+
+
+def test_waveguide_of_a_file_is_that_of_its_figures(tmp_path, monkeypatch):
+    """0.1 dB/(km Hz) at 1600 m/s are 0.16 dB/wavelength."""
+    (tmp_path / "own.env").write_text(FILE)
+    monkeypatch.chdir(tmp_path)
+    state = torch.tensor([9000.0, 40.0], dtype=torch.float64)
+    halfspace = GUIDE["halfspace"] | {"attenuation": 0.16}
+    expected = waveguide(**GUIDE, **WATER)(state)
+    for field in (
+        waveguide(**WATER, env_file="own.env", max_phase_speed=1599.0),
+        waveguide(**GUIDE | {"halfspace": halfspace}, **WATER, attenuation_unit="dB/wavelength"),
+        waveguide(**GUIDE, **WATER, attenuation_unit="dB/(m kHz)"),
+    ):
+        torch.testing.assert_close(field(state), expected)
+    other = waveguide(**GUIDE, **WATER, attenuation_unit="dB/wavelength")(state)
+    assert torch.linalg.vector_norm(other - expected) > 1e-3
+
+
+def test_environments_around_that_of_a_file(tmp_path):
+    """What calibration draws on."""
+    (tmp_path / "own.env").write_text(FILE)
+    state = torch.tensor([3000.0, 40.0], dtype=torch.float64)
+    eofs = {"depths": [0, 50], "functions": [[2.0], [-3.0]]}
+    around = {"eofs": eofs, "draw": {"eof_coefficients": [1.5], "tilt_deg": 0.7, "water_depth_m": -2.0}}
+    of_file = waveguide(**WATER, **around, env_file=tmp_path / "own.env", max_phase_speed=1599.0)
+    torch.testing.assert_close(of_file(state), waveguide(**GUIDE, **WATER, **around)(state))
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (
+            GUIDE | {"env_file": "a.env"},
+            "'field.env_file': found a file beside field.profile, field.layers, fie",
+        ),
+        (
+            {"env_file": "a.env", "attenuation_unit": "dB/m"},
+            "found a file beside field.attenuation_unit, expe",
+        ),
+        ({"env_file": "a.env"}, "path 'a.env': found no such file"),
+        ({"profile": [[0, 1500], [9, 1500]]}, "'field.layers': found nothing, expected .* or field.env_file"),
+        (
+            GUIDE | {"attenuation_unit": "dB/m"},
+            r"'field.attenuation_unit': found dB/m, expected one of .*dB/\(km",
+        ),
+    ],
+)
+def test_waveguide_is_described_once(values, message):
+    with pytest.raises(InputError, match=message):
+        waveguide(**values, **WATER)

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 import torch
-from oracles.scripts import call, load
+from oracles.scripts import call, load, track_settings
+from oracles.waveguide import ENV_FILE
 
+from torchdt.app.targets import build_field
 from torchdt.field import Field
 
 ROOT = Path(__file__).parents[2]
@@ -52,6 +54,21 @@ def test_example_tracks_two_objects(mine):
     assert status == 0, err
     scores = json.loads((mine / "run" / "metrics.json").read_text())
     assert scores["gospa"]["mean"] < 2
+
+
+def test_example_of_an_environment_file(tmp_path, monkeypatch):
+    """The command of the page finds the waveguide of the page's file."""
+    (text,) = re.findall(r"file `coast.env`:\n\n```text\n(.*?)```", PAGE, re.DOTALL)
+    assert text == ENV_FILE.read_text()
+    (tmp_path / "coast.env").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    (command,) = [line for line in re.findall(r"```bash\n(.*?)\n```", PAGE) if "env_file" in line]
+    script, *overrides = command.removeprefix("python ").split()
+    assert script == "experiments/track.py"
+    chosen = track_settings(*overrides, "field.freqs=[49]", small=False)
+    field = build_field(chosen.field, torch.float64, "cpu")
+    assert field.water_depth == 216.5
+    assert not chosen.calibration.enabled
 
 
 def test_targets_of_the_page_exist():

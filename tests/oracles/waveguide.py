@@ -18,6 +18,7 @@ WATER = Environment(
     layers=(Layer(bottom=150.0, speed_top=1600.0, speed_bottom=1650.0, density=1.8, attenuation=0.2),),
     halfspace=HalfSpace(speed=1800.0, density=2.0, attenuation=0.1),
 )
+ENV_FILE = Path(__file__).with_name("coast.env")
 COORDINATES = (
     Coordinate("range", "m", 2700.0, 3100.0, 25.0, -4.0, 4.0, 1e-2),
     Coordinate("depth", "m", 20.0, 80.0, 4.0, -1.0, 1.0, 1e-5),

@@ -53,8 +53,11 @@ def calibrated_field(
         InputError: where the field is no waveguide with EOFs.
     """
     config = settings.calibration
-    if not isinstance(nominal, NormalModeField) or target.get("eofs") is None:
+    if not isinstance(nominal, NormalModeField):
         raise InputError.of_key("calibration.enabled", True, "false: this field has no environment to fit")
+    if target.get("eofs") is None:
+        expected = "false (calibration=none), or sound-speed EOFs in field.eofs to fit the environment with"
+        raise InputError.of_key("calibration.enabled", True, expected)
     family, track_family = (
         waveguide_family(settings, target, dtype) for dtype in (torch.float64, settings.torch_dtype)
     )

@@ -3,7 +3,7 @@
 import dataclasses
 import hashlib
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from torchdt.app.settings import TrackSettings
@@ -23,11 +23,12 @@ def fingerprint_of(settings: TrackSettings, files: Iterable[str] = ()) -> dict[s
 
     Args:
         settings: of the job.
-        files: that it reads beside those of its data.
+        files: that it reads beside those of its data and field.
     """
     plain = {key: value for key, value in dataclasses.asdict(settings).items() if key not in NEUTRAL}
-    data = settings.data
-    paths = [path for path in (*data.paths, getattr(data, "truth", None), *files) if path]
+    data, field = settings.data, settings.field
+    environment = field.get("env_file") if isinstance(field, Mapping) else None
+    paths = [path for path in (*data.paths, getattr(data, "truth", None), environment, *files) if path]
     return {**flatten(plain), **{f"content of {path}": _digest(path) for path in paths}}
 
 

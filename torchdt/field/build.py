@@ -16,7 +16,8 @@ from torchdt.core.errors import InputError, require
 from torchdt.field.array import as_numbers, warn_of_aliasing
 from torchdt.field.plane_wave import LineArrayField, PlaneWaveField
 from torchdt.field.spherical_wave import SphericalWaveField
-from torchdt.field.waveguide.environment import Environment, HalfSpace, Layer, combine_eofs
+from torchdt.field.waveguide.configured import configured_environment
+from torchdt.field.waveguide.environment import combine_eofs
 from torchdt.field.waveguide.modes import ModeSolverError
 from torchdt.field.waveguide.sloped import SlopedField
 from torchdt.field.waveguide.waveguide import NormalModeField
@@ -61,11 +62,13 @@ def _is_finite(value: object) -> bool:
 
 def waveguide(
     *,
-    profile: Sequence[Sequence[float]],
-    layers: Sequence[Mapping[str, float]],
-    halfspace: Mapping[str, float],
     freqs: Sequence[float],
     element_depths: Sequence[float],
+    profile: Sequence[Sequence[float]] | None = None,
+    layers: Sequence[Mapping[str, float]] | None = None,
+    halfspace: Mapping[str, float] | None = None,
+    attenuation_unit: str | None = None,
+    env_file: str | None = None,
     tilt_deg: float = 0.0,
     bow_m: float = 0.0,
     slope_m_per_km: float = 0.0,
@@ -82,11 +85,13 @@ def waveguide(
     """Normal-mode field of a layered waveguide on a vertical array.
 
     Args:
-        profile: knots (depth m, speed m/s) from the surface to the seafloor.
-        layers: keywords of `Layer`, uppermost first.
-        halfspace: keywords of `HalfSpace`.
         freqs: Hz.
         element_depths: m.
+        profile: knots (depth m, speed m/s) from the surface to the seafloor.
+        layers: keywords of `Layer`, uppermost first, but for the unit.
+        halfspace: keywords of `HalfSpace`, but for the unit.
+        attenuation_unit: of all attenuations, one of `ATTENUATION_UNITS`; None is dB/(km Hz).
+        env_file: path of an environment file, see `read_env`, in place of these four.
         tilt_deg: of the array, degrees, positive towards the source.
         bow_m: how much nearer to the source the middle of the array is than the line through its ends, m.
         slope_m_per_km: how much the bottom rises away from the array; 0 is a flat one.
@@ -106,11 +111,7 @@ def waveguide(
     if draw is not None and draw.eof_coefficients:
         require(eofs is not None, "field.eofs", "nothing", "sound-speed EOFs, which field.draw refers to")
     try:
-        environment = Environment(
-            tuple((float(z), float(c)) for z, c in profile),
-            tuple(Layer(**layer) for layer in layers),
-            HalfSpace(**halfspace),
-        )
+        environment = configured_environment(profile, layers, halfspace, attenuation_unit, env_file)
         if draw is not None:
             delta = (
                 combine_eofs(eofs["depths"], eofs["functions"], draw.eof_coefficients)

@@ -19,17 +19,17 @@ def test_all_settings_count_on_which_numbers_depend(settings):
 
 
 def test_contents_of_all_files_count(settings, tmp_path):
-    """Those of the data, of their truth, and others; what is not there is as good as a content."""
-    data, truth, other = (str(tmp_path / name) for name in ("data", "truth", "other"))
-    chosen = settings("data=sio", f"data.path={data}", f"data.truth={truth}")
+    """Of the data, their truth, the field, and others; what is not there is as good as a content."""
+    paths = data, truth, env, other = [str(tmp_path / name) for name in ("data", "truth", "env", "other")]
+    chosen = settings("data=sio", f"data.path={data}", f"data.truth={truth}", f"+field.env_file={env}")
     seen = []
-    for path in (None, data, truth, other):
+    for path in (None, *paths):
         if path is not None:
             with open(path, "w") as file:
                 file.write("content")
         contents = fingerprint_of(chosen, [other])
-        seen.append([contents[f"content of {path}"] == "no file" for path in (data, truth, other)])
-    assert seen == [[True] * 3, [False, True, True], [False, False, True], [False] * 3]
+        seen.append([contents[f"content of {path}"] == "no file" for path in paths])
+    assert seen == [[False] * done + [True] * (4 - done) for done in range(5)]
 
 
 def test_without_an_interval_only_ends_are_kept_and_only_of_what_began_with_one(tmp_path):
