@@ -17,7 +17,7 @@ from torchdt.core.ranges import (
 )
 from torchdt.core.resampling import Resampler, Systematic
 from torchdt.filter.bp.evidence import Evidence, SampledEvidence
-from torchdt.filter.bp.marginals import Marginals, OfMessages
+from torchdt.filter.bp.marginals import Joint, Marginals
 from torchdt.filter.bp.schedule import Schedule, Sequential
 from torchdt.filter.intensity.settings import Intensity, UndetectedModel
 from torchdt.filter.interference.settings import FreeSignatures, Interference
@@ -110,7 +110,7 @@ class TrackerConfig(ObjectConfig):
     proposal: Proposal = field(default_factory=Adapted)
     report_silent: bool = True
     mismatch_share: list[InnerProbability] | None = None
-    marginals: Marginals = field(default_factory=OfMessages)
+    marginals: Marginals = field(default_factory=Joint)
     undetected: UndetectedModel = field(default_factory=Intensity)
     interference: Interference = field(default_factory=FreeSignatures)
     evidence: Evidence = field(default_factory=SampledEvidence)
