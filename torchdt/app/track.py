@@ -16,9 +16,11 @@ from torchdt.app.live import LiveReport
 from torchdt.app.parallel import set_threads, track_in_chunks
 from torchdt.app.progress import is_alone, track_progress
 from torchdt.app.report.console import plain_console
+from torchdt.app.report.energy import hints
 from torchdt.app.report.files import (
     manifest,
     metrics_summary,
+    write_energy_csv,
     write_figures,
     write_gospa_csv,
     write_json,
@@ -92,6 +94,8 @@ def run_track(config: DictConfig) -> float | None:
         )
     if failed := int(history.failed.sum()):
         log.warning("%d of %d steps broke down and count as missing", failed, history.failed.numel())
+    for hint in hints(history):
+        log.warning(hint)
     quality = "no truth to score" if value is None else f"mean GOSPA {value:.3g}"
     log.info(
         "%d steps in %.1f s, %s, results in %s",
@@ -130,6 +134,7 @@ def write_results(
     history = tree_map(lambda t: t.cpu(), history)
     metrics = metrics_summary(name, history, score, settings.seed, seconds)
     write_json(directory / "metrics.json", metrics)
+    write_energy_csv(directory / "energy.csv", history, recording.times())
     write_tracks_csv(directory / "tracks.csv", history, recording.times(), tracker.region.column_names)
     if score is not None:
         write_gospa_csv(directory / "gospa.csv", score, recording.times())

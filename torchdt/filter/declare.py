@@ -66,6 +66,7 @@ def report(
         state_std=standard_deviation(objects.state, objects.log_weight),
         power=objects.mean_power,
         noise=noise.mean,
+        shares=noise.mean.new_zeros((*noise.mean.shape, 4)),
         effective_sample_size=effective_sample_size(objects.log_weight),
         failed=torch.zeros_like(log_evidence, dtype=torch.bool),
         log_evidence=log_evidence,

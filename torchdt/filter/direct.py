@@ -24,6 +24,7 @@ from torchdt.filter.intensity.undetected import Undetected
 from torchdt.filter.interference.settings import beside
 from torchdt.filter.predict import Predicted, predict
 from torchdt.filter.proposal.moved import Draws
+from torchdt.filter.shares import energy_shares
 from torchdt.filter.slots import Placed
 from torchdt.filter.state import Objects, TrackerState
 from torchdt.filter.tracker import Tracker
@@ -220,6 +221,7 @@ class DirectTracker(Tracker[TrackerState]):
             constant = log_normaliser(received, append_dims(count, 1)).to(log_evidence)
             log_evidence = log_evidence + constant.sum(-1)
         objects, next_label, estimate = report(objects, beliefs.noise, state, log_evidence, self.region, cfg)
+        estimate = estimate._replace(shares=energy_shares(beliefs, measurement, model.noise))
         if not cfg.report_silent:
             heard = estimate.existence * estimate.transmission > cfg.declare
             estimate = estimate._replace(declared=estimate.declared & heard)

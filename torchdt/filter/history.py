@@ -25,6 +25,8 @@ class Estimates(NamedTuple):
         state_std: `(*batch, N, D)` standard deviations of the state given existence, in its units.
         power: `(*batch, N, I)` MMSE transmit power per tone, in squared units of the data.
         noise: `(*batch, I)` MMSE noise variance per tone, in squared units of the data.
+        shares: `(*batch, I, 4)` of each tone's energy: objects, interferers, noise, unexplained; zero without
+            data, or where the tracker does not know. See `torchdt.filter.shares`.
         effective_sample_size: `(*batch, N)` of the state particles, in particles.
         failed: `(*batch,)` bool, the tracker broke down and the step counts as missing.
         log_evidence: `(*batch,)` log p(z_k | z_1..k-1), natural logarithm.
@@ -39,6 +41,7 @@ class Estimates(NamedTuple):
     state_std: Tensor
     power: Tensor
     noise: Tensor
+    shares: Tensor
     effective_sample_size: Tensor
     failed: Tensor
     log_evidence: Tensor
@@ -91,6 +94,7 @@ def history_like(
     shapes |= {
         "position": (*of_slot, dims),
         "noise": (*of_slot[:2], tones),
+        "shares": (*of_slot[:2], tones, 4),
         "log_evidence": of_slot[:2],
         "failed": of_slot[:2],
     }

@@ -14,8 +14,10 @@ from torch import Tensor
 
 import torchdt
 from torchdt.app.report.csv_file import write_csv
+from torchdt.app.report.energy import energy_rows, hints, mean_shares
 from torchdt.core.atomic import atomic_write, storing
 from torchdt.filter.history import TrackHistory
+from torchdt.filter.shares import PARTS
 from torchdt.metrics import Gospa
 from torchdt.model.model import Model
 
@@ -131,6 +133,18 @@ def write_variants_csv(
     _write_csv(path, header, rows)
 
 
+def write_energy_csv(path: str | os.PathLike[str], history: TrackHistory, times: Tensor) -> None:
+    """Write one row per run, step and tone: the noise level, and shares of the energy.
+
+    Args:
+        path: where to write, usually `energy.csv`.
+        history: batch shape `(B,)`.
+        times: `(B, K)` of the steps, s, see `Recording.times`.
+    """
+    header = ("run", "step", "time_s", "tone", "noise_level", *PARTS)
+    _write_csv(path, header, energy_rows(history.shares, history.noise, seconds(times)))
+
+
 def metrics_summary(
     tracker: str, history: TrackHistory, gospa: Gospa | None, seed: int, seconds: float
 ) -> dict[str, object]:
@@ -146,8 +160,9 @@ def metrics_summary(
     Returns:
         `num_steps` is K and `num_runs` B; `failed_steps` of all runs broke down and count as missing;
         `steps_per_second` counts the steps of all runs; `log_likelihood` is the sum over the steps,
-        averaged over the runs, and NaN, in JSON null, where the tracker does not know it; `gospa` holds
-        averages over runs and steps, or is None.
+        averaged over the runs, and NaN, in JSON null, where the tracker does not know it; `energy` holds
+        shares of the energy, see `torchdt.filter.shares`, or is None; `hints` says what may be wrong; `gospa`
+        holds averages over runs and steps, or is None.
     """
     num_runs, num_steps = history.log_evidence.shape
     return {
@@ -157,6 +172,8 @@ def metrics_summary(
         "seed": seed,
         "log_likelihood": history.log_evidence.double().sum(-1).mean().item(),
         "failed_steps": int(history.failed.sum()),
+        "energy": mean_shares(history),
+        "hints": hints(history),
         "seconds": seconds,
         "steps_per_second": num_runs * num_steps / seconds if seconds > 0 else None,
         "gospa": None

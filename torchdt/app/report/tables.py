@@ -6,6 +6,7 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
+from torchdt.app.report.energy import energy_line, mean_shares
 from torchdt.filter.history import TrackHistory
 from torchdt.metrics import Gospa
 
@@ -17,7 +18,7 @@ def print_summary(
 
     Columns: mean GOSPA over the steps and its parts, mean number of declared and of true objects, and the
     log-likelihood, `-` where a tracker does not know it; without truth those that need it are left out. The
-    speed, in steps of all runs per second, goes below.
+    speed, in steps of all runs per second, goes below, and what the energy went to.
 
     Args:
         console: where to print.
@@ -39,6 +40,8 @@ def print_summary(
     caption = f"{runs} of {num_steps} steps in {seconds:.1f} s: {speed}"
     failed = int(history.failed.sum())
     caption += f"; {failed} broke down and count as missing" if failed else ""
+    shares = mean_shares(history)
+    caption += f"\n{energy_line(shares)}" if shares else ""
     table = Table(title=title, caption=caption, caption_justify="left")
     table.add_column("run", justify="right")
     for name in columns:

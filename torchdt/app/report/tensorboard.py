@@ -12,6 +12,7 @@ from torchdt.app.report.belief import Belief, belief_of
 from torchdt.app.report.clouds import Frame, cloud_figure
 from torchdt.app.report.events import EventReport
 from torchdt.filter.history import StepEstimate
+from torchdt.filter.shares import PARTS
 from torchdt.metrics import Gospa
 
 LAYOUT = {
@@ -27,6 +28,7 @@ LAYOUT = {
     },
     "Data": {
         "Noise (dB)": ["noise_db/.*"],
+        "Shares of the energy": ["energy/.*"],
         "Log evidence": ["log_evidence$"],
     },
 }
@@ -40,7 +42,8 @@ class TensorBoardReport(EventReport):
 
     The tags of every step: `gospa/total`, `gospa/localisation`, `gospa/missed`, `gospa/false`,
     `count/declared`, `count/true`, `existence/label_03`, `transmission/label_03`,
-    `effective_sample_size/label_03`, `power_db/label_03/tone_1`, `noise_db/tone_1`, `log_evidence`.
+    `effective_sample_size/label_03`, `power_db/label_03/tone_1`, `noise_db/tone_1`, `energy/objects`,
+    `energy/interferers`, `energy/noise`, `energy/unexplained`, `log_evidence`.
 
     Those of every `interval`-th step: the histograms `belief/existence`, of all potential objects, and
     `belief/power_db/label_03`, of all tones, each of weight one, as uncertain as the tracker is; and the
@@ -94,6 +97,9 @@ class TensorBoardReport(EventReport):
         self.add_scalar("count/declared", estimate.declared.sum().item(), step)
         self.add_scalar("log_evidence", estimate.log_evidence.item(), step)
         self._add_tones("noise_db", estimate.noise, step)
+        if bool(estimate.shares.any()):
+            for part, share in zip(PARTS, estimate.shares.mean(-2).tolist(), strict=True):
+                self.add_scalar(f"energy/{part}", share, step)
         for slot, name in label_names(estimate).items():
             self.add_scalar(f"existence/{name}", estimate.existence[slot].item(), step)
             self.add_scalar(f"transmission/{name}", estimate.transmission[slot].item(), step)

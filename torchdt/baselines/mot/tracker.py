@@ -136,6 +136,7 @@ class PointTracker:
             state_std=standard_deviation(objects.particles, objects.log_weight),
             power=objects.power,
             noise=points.noise,
+            shares=points.noise.new_zeros((*points.noise.shape, 4)),  # of points nobody knows
             effective_sample_size=effective_sample_size(objects.log_weight),
             failed=torch.zeros_like(points.noise[..., 0], dtype=torch.bool),
             log_evidence=torch.full_like(points.noise[..., 0], torch.nan),
