@@ -23,7 +23,7 @@ from torchdt.filter.bp.moments import (
     weighted_moment,
     without,
 )
-from torchdt.filter.bp.rank_one import whiten
+from torchdt.filter.bp.rank_one import Whitener, whiten
 from torchdt.filter.interference.settings import Interference, NoInterference
 from torchdt.filter.interference.signatures import Interferers
 from torchdt.filter.state import Objects
@@ -149,30 +149,36 @@ def judged(
     measurement: Measurement,
     index: Tensor,
     others: Tensor,
+    whitener: Whitener,
+    new: Tensor,
     noise_model: NoiseCovariance,
     interference: Interference,
 ) -> Beliefs:
     """The existence of one object per batch element, given that what it explains may be no object.
 
     Its odds compare all that is without it and all that is with it, each beside the best that a signal of
-    free signature can do there.
+    free signature can do there, and without it beside an echo of a stronger object.
 
     Args:
         beliefs: of all objects, the last message included.
         measurement: statistics of the step.
         index: `(*batch,)` the object.
         others: `(*batch, I, M, M)` what it was tested against.
+        whitener: of that.
+        new: `(*batch,)` bool, whether the object was improbable before the step.
         noise_model: what the noise makes of the covariance of the data.
         interference: what may be heard beside objects.
     """
     variance = beliefs.noise.mean
-    without_it = interference.rival(measurement, others, variance)
+    modelled = beliefs.moment if beliefs.diffuse is None else beliefs.moment - beliefs.diffuse
+    # One or the other stands for it, whichever does so better.
+    without_it = torch.maximum(
+        interference.rival(measurement, others, variance),
+        interference.echo(whitener, index, modelled, beliefs.strength, new),
+    )
     if not bool((without_it > NOTHING).any()):
         return beliefs
-    sent = take(beliefs.moment, index)
-    if beliefs.diffuse is not None:
-        sent = sent - take(beliefs.diffuse, index)
-    covariance = others + take(beliefs.power, index)[..., None, None] * sent
+    covariance = others + take(beliefs.power, index)[..., None, None] * take(modelled, index)
     change = interference.rival(measurement, covariance, variance) - without_it
     change = torch.where(without_it > NOTHING, change, 0.0)
     log_odds = take(beliefs.objects.log_odds, index) + change
@@ -234,7 +240,8 @@ class Sequential:
             slot = object_belief(whitener, slot_response, take(prior.power, index), slot_prior)
             beliefs = store(beliefs, index, slot, prior, slot_response)
             if interference.signatures:
-                beliefs = judged(beliefs, measurement, index, others, noise_model, interference)
+                seen = measurement, index, others, whitener, take(prior.log_odds, index) < 0
+                beliefs = judged(beliefs, *seen, noise_model, interference)
         return beliefs
 
 

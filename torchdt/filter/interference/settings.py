@@ -7,7 +7,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
-from torchdt.core.ranges import Checked, Count, Positive
+from torchdt.core.ranges import Checked, Count, Positive, Share
+from torchdt.core.trees import take
+from torchdt.filter.bp.rank_one import Whitener
+from torchdt.filter.interference.echoes import echo_gain
 from torchdt.filter.interference.interfered import Interfered
 from torchdt.filter.interference.signatures import Interferers, follow, free_gains, price
 from torchdt.model.measurement import Measurement
@@ -53,6 +56,20 @@ class Interference(Protocol):
         """Nats that more interferers are worth beside a covariance, price paid, `(*batch,)`, from zero up."""
         ...
 
+    def echo(
+        self, whitener: Whitener, index: Tensor, moment: Tensor, strength: Tensor, new: Tensor
+    ) -> Tensor:
+        """Nats that an echo of a stronger object is worth beside no object, `(*batch,)`, from zero up.
+
+        Args:
+            whitener: of all but one object.
+            index: `(*batch,)` that object.
+            moment: `(*batch, N, I, M, M)` complex `E[a a^H]` of all.
+            strength: `(*batch, N, I)` of all, `r E[gamma]`.
+            new: `(*batch,)` bool, whether the object was improbable before the step.
+        """
+        ...
+
 
 @dataclass(frozen=True)
 class NoInterference:
@@ -77,6 +94,12 @@ class NoInterference:
         """Nothing."""
         return torch.zeros_like(variance[..., 0])
 
+    def echo(
+        self, whitener: Whitener, index: Tensor, moment: Tensor, strength: Tensor, new: Tensor
+    ) -> Tensor:
+        """Nothing."""
+        return torch.zeros_like(strength[..., 0, 0])
+
 
 @dataclass(frozen=True)
 class FreeSignatures(Checked):
@@ -85,12 +108,14 @@ class FreeSignatures(Checked):
     Attributes:
         signatures: K, number in a tone, at most.
         memory: steps of data that the signature of the last step counts as.
+        echoes: mean energy of an echo, or of what a response leaves, over that of its object; zero for none.
     """
 
     KEY: ClassVar[str] = "tracker.interference"
 
     signatures: Count = 3
     memory: Positive = 2.0
+    echoes: Share = 0.1
 
     @torch.no_grad()
     def follow(
@@ -113,6 +138,24 @@ class FreeSignatures(Checked):
         """`sum_ik log(1 + exp(gain_ik - price_i))`, see `free_gains` and `price`."""
         gain = free_gains(measurement, covariance, self.signatures)
         return softplus(gain - price(measurement, variance)[..., None]).sum((-2, -1))
+
+    @torch.no_grad()
+    def echo(
+        self, whitener: Whitener, index: Tensor, moment: Tensor, strength: Tensor, new: Tensor
+    ) -> Tensor:
+        """See `echo_gain`."""
+        own = take(strength, index)
+        stronger = strength.sum(-1, keepdim=True) > own.sum(-1)[..., None, None]
+        if not self.echoes or not bool(stronger.any()):
+            return torch.zeros_like(own[..., 0])
+        # A moment is close to a a^H, of which each column is a but for a factor.
+        largest = moment.diagonal(dim1=-2, dim2=-1).real.argmax(-1)[..., None, None]
+        column = moment.gather(-1, largest.expand(*moment.shape[:-1], 1)).squeeze(-1)
+        norm = column.abs().square().sum(-1, keepdim=True).sqrt().clamp_min(1e-30)
+        trace = moment.diagonal(dim1=-2, dim2=-1).real.sum(-1).clamp_min(0).sqrt()
+        response = column / norm * trace[..., None]
+        power = torch.where(stronger, strength, 0.0)
+        return echo_gain(whitener, take(response, index), response, power, self.echoes, new)
 
 
 def beside(noise: NoiseCovariance, interferers: Interferers | None) -> NoiseCovariance:
