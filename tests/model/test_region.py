@@ -41,6 +41,22 @@ def test_contains_reads_positions_only():
     assert region.contains(states).tolist() == [True, False, False, True]
 
 
+def test_only_what_is_asked_for_is_reported():
+    region = Region([replace(RANGE, report_low=1025.0, report_high=1050.0), DEPTH], torch.float64)
+    positions = torch.tensor(
+        [[1024.0, 7.0], [1025.0, 7.0], [1050.0, 5.0], [1051.0, 7.0]], dtype=torch.float64
+    )
+    assert region.contains(positions).all()
+    assert region.reports(positions).tolist() == [False, True, True, False]
+    assert Region([RANGE, DEPTH], torch.float64).reports(positions).all()
+
+
+@pytest.mark.parametrize(("low", "high"), [(999.0, None), (None, 1101.0), (1050.0, 1050.0)])
+def test_limits_of_what_is_reported_lie_in_the_region(low, high):
+    with pytest.raises(InputError, match=r"scenario.coordinates.range.report_low"):
+        replace(RANGE, report_low=low, report_high=high)
+
+
 def test_column_names():
     assert Region([RANGE, DEPTH]).column_names == ("range_m", "depth_m", "range_rate_mps", "depth_rate_mps")
 

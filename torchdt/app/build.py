@@ -46,7 +46,7 @@ def build_recording(settings: TrackSettings) -> Recording:
     Raises:
         InputError: where a file or the scenario does not make sense.
     """
-    recording = read_data(settings.data, settings)
+    recording = reported(read_data(settings.data, settings), settings)
     size = recording.batch_size, recording.num_steps, recording.num_tones, recording.num_sensors
     log.info("%s: sequences %d, steps %d, tones %d, sensors %d", recording.name or "recording", *size)
     summary = recording.missing_summary()
@@ -58,6 +58,15 @@ def build_recording(settings: TrackSettings) -> Recording:
             [dead.nonzero().flatten().tolist() for dead in summary.dead_channels],
         )
     return recording
+
+
+def reported(recording: Recording, settings: TrackSettings) -> Recording:
+    """The recording with the truth of what is reported, see `Coordinate.report_low`; the rest is absent."""
+    region, truth = build_region(settings, torch.float64), recording.truth
+    if region.reports_all or truth is None or truth.shape[-1] != region.num_coordinates:
+        return recording
+    scored = region.reports(truth.to(region.low.device)).to(truth.device)
+    return replace(recording, truth=torch.where(scored[..., None], truth, torch.nan))
 
 
 @functools.singledispatch
@@ -143,7 +152,8 @@ def simulate_each(settings: TrackSettings, seeds: Sequence[int]) -> Recording:
     """Simulate one sequence for each seed; consecutive seeds share a call of `simulate`."""
     groups = itertools.groupby(enumerate(seeds), key=lambda pair: pair[1] - pair[0])
     runs = [[seed for _, seed in group] for _, group in groups]
-    return stack_recordings([simulate(replace(settings, seed=run[0], runs=len(run))) for run in runs])[0]
+    each = [simulate(replace(settings, seed=run[0], runs=len(run))) for run in runs]
+    return reported(stack_recordings(each)[0], settings)
 
 
 def check_coordinates(settings: TrackSettings, num_coordinates: int) -> None:

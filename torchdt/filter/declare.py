@@ -56,12 +56,13 @@ def report(
     objects = fit_slots(objects, old.objects)
     declared, label, next_label = declare(objects.log_odds, objects.label, old.next_label, config)
     state = region.wrap(weighted_mean(objects.state.mT, objects.log_weight[..., None, :]))
+    position = state[..., : region.num_coordinates]
     estimate = StepEstimate(
         existence=objects.existence,
         transmission=objects.transmission,
-        declared=declared,
+        declared=declared & region.reports(position),
         label=label,
-        position=state[..., : region.num_coordinates],
+        position=position,
         state=state,
         state_std=standard_deviation(objects.state, objects.log_weight),
         power=objects.mean_power,

@@ -36,6 +36,8 @@ class Coordinate:
         driving_variance: variance of the acceleration-like driving noise, (unit / s^2)^2.
         period: of a coordinate that goes round, in units: x and x + period are the same place, such as 360
             for an azimuth in degrees. A region of a whole period has no ends. None: the coordinate is a line.
+        report_low, report_high: what is reported and scored, where that is less than the region; objects
+            beyond are tracked, so that they are not taken for others. None is the end of the region.
 
     Raises:
         InputError: where a number is not finite, the limits leave nothing, or more than one period.
@@ -50,6 +52,8 @@ class Coordinate:
     rate_high: Finite
     driving_variance: Positive
     period: Positive | None = None
+    report_low: Finite | None = None
+    report_high: Finite | None = None
 
     def __post_init__(self) -> None:
         key = f"scenario.coordinates.{self.name}"
@@ -62,6 +66,9 @@ class Coordinate:
         if self.period is not None:
             most = f"at least the region's width, {width}, or null"
             require(self.is_closed or self.period > width, f"{key}.period", self.period, most)
+        low, high = self.report
+        within = f"limits between {self.low} and {self.high}, the first below the second"
+        require(self.low <= low < high <= self.high, f"{key}.report_low", [low, high], within)
         finest = width / MOST_CELLS
         require(
             self.cell >= finest, f"{key}.cell", self.cell, f"at least {finest:.3g}, a region of fewer cells"
@@ -71,6 +78,12 @@ class Coordinate:
     def num_cells(self) -> int:
         """Number of birth cells along this coordinate."""
         return max(1, round((self.high - self.low) / self.cell))
+
+    @property
+    def report(self) -> tuple[float, float]:
+        """Limits of what is reported."""
+        low, high = self.report_low, self.report_high
+        return self.low if low is None else low, self.high if high is None else high
 
     @property
     def is_closed(self) -> bool:
@@ -97,6 +110,7 @@ class Region:
         lower_end, upper_end: `(d,)` what no position passes: the corners, but infinite where the region goes
             all the way round.
         period: `(d,)`, infinite for a coordinate that does not go round.
+        report_low, report_high: `(d,)` corners of what is reported.
 
     Raises:
         InputError: where there is no coordinate, or there can be objects in none of the birth cells.
@@ -127,6 +141,9 @@ class Region:
         self.period = torch.where(closed, self.high - self.low, vector(round_trip))
         self.lower_end = self.low.masked_fill(closed, -torch.inf)
         self.upper_end = self.high.masked_fill(closed, torch.inf)
+        self.report_low = vector([c.report[0] for c in self.coordinates])
+        self.report_high = vector([c.report[1] for c in self.coordinates])
+        self.reports_all = all(c.report == (c.low, c.high) for c in self.coordinates)
         self.has_period = any(c.period is not None for c in self.coordinates)
         self.grid_shape = tuple(c.num_cells for c in self.coordinates)
         self.cell = (self.high - self.low) / vector([float(n) for n in self.grid_shape])
@@ -237,6 +254,13 @@ class Region:
         holds = ((position >= self.lower_end) & (position <= self.upper_end)).all(-1)
         allowed = self._allowed(state)
         return holds if allowed is None else holds & allowed
+
+    def reports(self, position: Tensor) -> Tensor:
+        """Whether objects at positions of the region are reported, `(*batch, d)` to `(*batch,)` bool."""
+        if self.reports_all:
+            return torch.ones_like(position[..., 0], dtype=torch.bool)
+        position = self.wrap(position)
+        return ((position >= self.report_low) & (position <= self.report_high)).all(-1)
 
     def wrap(self, state: Tensor) -> Tensor:
         """Positions or states `(*batch, D)` at the same places, within one period from the lower corner."""

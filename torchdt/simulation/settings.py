@@ -140,6 +140,8 @@ class CoordinateSettings:
     rate_high: float = 1.0
     driving_variance: float = 1.0
     period: float | None = None
+    report_low: float | None = None
+    report_high: float | None = None
 
     def __post_init__(self) -> None:
         Coordinate(**vars(self))  # which checks them

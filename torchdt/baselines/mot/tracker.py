@@ -126,12 +126,13 @@ class PointTracker:
         objects = self._most_probable(self._update(known, points, proposed))
         declared, label, next_label = declare(objects.log_odds, objects.label, state.next_label, cfg)
         mean = self.region.wrap(weighted_mean(objects.particles.mT, objects.log_weight.unsqueeze(-2)))
+        position = mean[..., : self.region.num_coordinates]
         estimate = StepEstimate(
             existence=torch.sigmoid(objects.log_odds),
             transmission=torch.ones_like(objects.log_odds),  # of points nobody knows
-            declared=declared,
+            declared=declared & self.region.reports(position),
             label=label,
-            position=mean[..., : self.region.num_coordinates],
+            position=position,
             state=mean,
             state_std=standard_deviation(objects.particles, objects.log_weight),
             power=objects.power,

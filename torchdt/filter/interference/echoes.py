@@ -1,9 +1,9 @@
 """Leftovers and echoes: what looks like a weak object and sends what stronger ones send.
 
 A response that is not quite right, or a second way to the array, leaves energy that a false object explains
-well. But its amplitudes are those of its parents, `sum_p alpha_p s_pj` in every snapshot j, where an object of
-its own has others. With the parents' amplitudes at their conditional mean, `s_pj = gamma_p a_p^H Sigma^-1 z_j`,
-and `alpha_p ~ CN(0, tau^2)` in each tone, echoes are worth, beside nothing,
+well. But its amplitudes are those of its parents, `sum_p alpha_p s_pj` in every snapshot j, where an object
+of its own has others. With the parents' amplitudes at their conditional mean, `s_pj = gamma_p a_p^H Sigma^-1
+z_j`, and `alpha_p ~ CN(0, tau^2)` in each tone, echoes are worth, beside nothing,
 
     `y S^H (I / tau^2 + g S S^H)^-1 S y^H - log|I + tau^2 g S S^H|`,
 
