@@ -49,6 +49,8 @@ def echo_gain(
     along = torch.linalg.solve_triangular(lower, amplitude @ received, upper=False)
     log_det = 2 * lower.diagonal(dim1=-2, dim2=-1).real.log().sum(-1)
     gain = share * along.abs().square().sum((-2, -1)) - log_det
-    any_parent = (power > 0).any(-1).any(-1)
-    total = torch.where(any_parent, gain.sum(-1) - SURPRISE * new, -torch.inf)
-    return softplus(total).to(power.dtype)
+    # Nothing at all may be there too: as likely as echoes where there may always have been some.
+    surprise = torch.where(new, SURPRISE, 0.0)
+    total = torch.where((power > 0).any(-1).any(-1), gain.sum(-1), -torch.inf)
+    mixed = torch.logaddexp(total - surprise, torch.zeros_like(total)) - softplus(-surprise)
+    return mixed.clamp_min(0).to(power.dtype)
