@@ -157,7 +157,8 @@ def judged(
     """The existence of one object per batch element, given that what it explains may be no object.
 
     Its odds compare all that is without it and all that is with it, each beside the best that a signal of
-    free signature can do there, and without it beside an echo of a stronger object.
+    free signature can do there; without it, beside an echo of a stronger object; with it, beside what its own
+    response may leave.
 
     Args:
         beliefs: of all objects, the last message included.
@@ -173,13 +174,18 @@ def judged(
     modelled = beliefs.moment if beliefs.diffuse is None else beliefs.moment - beliefs.diffuse
     # One or the other stands for it, whichever does so better.
     without_it = torch.maximum(
-        interference.rival(measurement, others, variance),
+        interference.rival(measurement, others, variance, beliefs.interferers),
         interference.echo(whitener, index, modelled, beliefs.strength, new),
     )
     if not bool((without_it > NOTHING).any()):
         return beliefs
-    covariance = others + take(beliefs.power, index)[..., None, None] * take(modelled, index)
-    change = interference.rival(measurement, covariance, variance) - without_it
+    moment, power = take(modelled, index), take(beliefs.power, index)
+    covariance = others + power[..., None, None] * moment
+    with_it = torch.maximum(
+        interference.rival(measurement, covariance, variance, beliefs.interferers),
+        interference.leftover(measurement, others, moment, power),
+    )
+    change = with_it - without_it
     change = torch.where(without_it > NOTHING, change, 0.0)
     log_odds = take(beliefs.objects.log_odds, index) + change
     strength = torch.sigmoid(log_odds)[..., None] * take(beliefs.power, index)
@@ -270,9 +276,15 @@ class Flooding:
         power = weighted_mean(prior.power, objects.log_power_weight)
         moment = response_moment(response, objects.log_weight)
         if interference.signatures:
-            own = power[..., None, None] * moment
-            change = [interference.rival(per_object, c, noise) for c in (others + own, others)]
-            objects = objects._replace(log_odds=objects.log_odds + change[0] - change[1])
+            own, found = power[..., None, None] * moment, beliefs.interferers
+            if found is not None:
+                found = tree_map(lambda t: t.unsqueeze(noise.ndim - 2), found)
+            with_it = torch.maximum(
+                interference.rival(per_object, others + own, noise, found),
+                interference.leftover(per_object, others, moment, power),
+            )
+            change = with_it - interference.rival(per_object, others, noise, found)
+            objects = objects._replace(log_odds=objects.log_odds + change)
         return beliefs._replace(
             objects=objects,
             moment=with_diffuse(moment, weighted_mean(prior.transmits, objects.log_weight), beliefs.diffuse),

@@ -10,10 +10,10 @@ from torch.nn.functional import softplus
 from torchdt.core.ranges import Checked, Count, Positive, Share
 from torchdt.core.trees import take
 from torchdt.filter.bp.rank_one import Whitener
-from torchdt.filter.interference.echoes import echo_gain
+from torchdt.filter.interference.echoes import echo_gain, leftover_gain, principal
 from torchdt.filter.interference.interfered import Interfered
-from torchdt.filter.interference.signatures import Interferers, follow, free_gains, price
-from torchdt.model.measurement import Measurement
+from torchdt.filter.interference.signatures import Interferers, fit, follow, free_gains, price
+from torchdt.model.measurement import Measurement, gaussian_log_likelihood
 from torchdt.model.noise.base import Noise, NoiseCovariance
 
 
@@ -52,8 +52,21 @@ class Interference(Protocol):
         """
         ...
 
-    def rival(self, measurement: Measurement, covariance: Tensor, variance: Tensor) -> Tensor:
-        """Nats that more interferers are worth beside a covariance, price paid, `(*batch,)`, from zero up."""
+    def rival(
+        self,
+        measurement: Measurement,
+        covariance: Tensor,
+        variance: Tensor,
+        interferers: Interferers | None = None,
+    ) -> Tensor:
+        """Nats that other interferers are worth than there are, price paid, `(*batch,)`, from zero up.
+
+        Args:
+            measurement: statistics of the step.
+            covariance: `(*batch, I, M, M)` of all that is there, interferers included.
+            variance: eta, `(*batch, I)`.
+            interferers: those that are there; None for none.
+        """
         ...
 
     def echo(
@@ -67,6 +80,17 @@ class Interference(Protocol):
             moment: `(*batch, N, I, M, M)` complex `E[a a^H]` of all.
             strength: `(*batch, N, I)` of all, `r E[gamma]`.
             new: `(*batch,)` bool, whether the object was improbable before the step.
+        """
+        ...
+
+    def leftover(self, measurement: Measurement, covariance: Tensor, moment: Tensor, power: Tensor) -> Tensor:
+        """Nats that what the response of an object leaves is worth beside it, `(*batch,)`, from zero up.
+
+        Args:
+            measurement: statistics of the step.
+            covariance: `(*batch, I, M, M)` of all but the object.
+            moment: `(*batch, I, M, M)` complex, its `E[a a^H]`.
+            power: `(*batch, I)` of the object.
         """
         ...
 
@@ -88,9 +112,15 @@ class NoInterference:
         new: bool,
     ) -> Interferers:
         """None."""
-        return Interferers(before, torch.zeros_like(measurement.num_snapshots))
+        return Interferers(before, torch.zeros_like(measurement.num_snapshots), before)
 
-    def rival(self, measurement: Measurement, covariance: Tensor, variance: Tensor) -> Tensor:
+    def rival(
+        self,
+        measurement: Measurement,
+        covariance: Tensor,
+        variance: Tensor,
+        interferers: Interferers | None = None,
+    ) -> Tensor:
         """Nothing."""
         return torch.zeros_like(variance[..., 0])
 
@@ -100,6 +130,10 @@ class NoInterference:
         """Nothing."""
         return torch.zeros_like(strength[..., 0, 0])
 
+    def leftover(self, measurement: Measurement, covariance: Tensor, moment: Tensor, power: Tensor) -> Tensor:
+        """Nothing."""
+        return torch.zeros_like(power[..., 0])
+
 
 @dataclass(frozen=True)
 class FreeSignatures(Checked):
@@ -108,7 +142,9 @@ class FreeSignatures(Checked):
     Attributes:
         signatures: K, number in a tone, at most.
         memory: steps of data that the signature of the last step counts as.
-        echoes: mean energy of an echo, or of what a response leaves, over that of its object; zero for none.
+        echoes: mean energy of an echo over that of its object, and largest of what a response leaves where the
+            existence of its object is in question; zero for none.
+        leftovers: mean energy of what a response leaves over that of its object, where new signals are.
     """
 
     KEY: ClassVar[str] = "tracker.interference"
@@ -116,6 +152,7 @@ class FreeSignatures(Checked):
     signatures: Count = 3
     memory: Positive = 2.0
     echoes: Share = 0.1
+    leftovers: Share = 0.01
 
     @torch.no_grad()
     def follow(
@@ -130,14 +167,28 @@ class FreeSignatures(Checked):
     ) -> Interferers:
         """See `torchdt.filter.interference.signatures.follow`."""
         if not new and not bool((before != 0).any()):
-            return Interferers(before, torch.zeros_like(measurement.num_snapshots))
-        return follow(measurement, noise_model, noise, signal, before, self.memory, new)
+            return Interferers(before, torch.zeros_like(measurement.num_snapshots), before)
+        return follow(measurement, noise_model, noise, signal, before, self.memory, new, self.leftovers)
 
     @torch.no_grad()
-    def rival(self, measurement: Measurement, covariance: Tensor, variance: Tensor) -> Tensor:
-        """`sum_ik log(1 + exp(gain_ik - price_i))`, see `free_gains` and `price`."""
+    def rival(
+        self,
+        measurement: Measurement,
+        covariance: Tensor,
+        variance: Tensor,
+        interferers: Interferers | None = None,
+    ) -> Tensor:
+        """`sum_ik log(1 + exp(gain_ik - price_i))` of more, or what all are worth that are fitted anew."""
+        cost = price(measurement, variance)
         gain = free_gains(measurement, covariance, self.signatures)
-        return softplus(gain - price(measurement, variance)[..., None]).sum((-2, -1))
+        more = softplus(gain - cost[..., None]).sum((-2, -1))
+        if interferers is None or not interferers.any:
+            return more
+        bare = covariance - interferers.covariance
+        net = fit(measurement, bare, interferers.before, cost, self.memory, new=True)[1]
+        before, after = (gaussian_log_likelihood(measurement, c) for c in (covariance, bare))
+        anew = after + net - (before - interferers.cost)
+        return torch.maximum(more, anew.sum(-1))
 
     @torch.no_grad()
     def echo(
@@ -148,14 +199,16 @@ class FreeSignatures(Checked):
         stronger = strength.sum(-1, keepdim=True) > own.sum(-1)[..., None, None]
         if not self.echoes or not bool(stronger.any()):
             return torch.zeros_like(own[..., 0])
-        # A moment is close to a a^H, of which each column is a but for a factor.
-        largest = moment.diagonal(dim1=-2, dim2=-1).real.argmax(-1)[..., None, None]
-        column = moment.gather(-1, largest.expand(*moment.shape[:-1], 1)).squeeze(-1)
-        norm = column.abs().square().sum(-1, keepdim=True).sqrt().clamp_min(1e-30)
-        trace = moment.diagonal(dim1=-2, dim2=-1).real.sum(-1).clamp_min(0).sqrt()
-        response = column / norm * trace[..., None]
+        response = principal(moment)
         power = torch.where(stronger, strength, 0.0)
         return echo_gain(whitener, take(response, index), response, power, self.echoes, new)
+
+    @torch.no_grad()
+    def leftover(self, measurement: Measurement, covariance: Tensor, moment: Tensor, power: Tensor) -> Tensor:
+        """See `leftover_gain`."""
+        if not self.echoes:
+            return torch.zeros_like(power[..., 0])
+        return leftover_gain(measurement, covariance, principal(moment), power, self.echoes)
 
 
 def beside(noise: NoiseCovariance, interferers: Interferers | None) -> NoiseCovariance:

@@ -42,10 +42,12 @@ class Interferers(NamedTuple):
     Attributes:
         columns: `(*batch, I, M, K)` complex, signature times the root of the power; zero for none.
         cost: `(*batch, I)` nats that their numbers cost.
+        before: `(*batch, I, M, K)` columns of the last step, in whose directions they may cost less.
     """
 
     columns: Tensor
     cost: Tensor
+    before: Tensor
 
     @property
     def covariance(self) -> Tensor:
@@ -99,6 +101,7 @@ def follow(
     before: Tensor,
     memory: float,
     new: bool,
+    share: float,
 ) -> Interferers:
     """The signals of free signature that are worth their price, at the noise level at which all is likeliest.
 
@@ -111,6 +114,7 @@ def follow(
         noise: belief about its level before the data.
         signal: `(*batch, I, M, M)` complex, of what objects send.
         before, memory, new: see `fit`.
+        share: see `beside_leftovers`.
     """
     every = max(1, noise.variance.shape[-1] // LEVELS)
     level = noise.variance[..., every // 2 :: every].movedim(-1, -2)  # (*batch, E, I)
@@ -118,16 +122,48 @@ def follow(
     each = measurement.unsqueeze()
     covariance = noise_model.covariance(signal.unsqueeze(-4), level, each.present)
     cost = price(each, level)
-    at_level, gain = fit(each, covariance, before.unsqueeze(-4), cost, memory, new)
+    apart = beside_leftovers(each, covariance, signal.unsqueeze(-4), level, share)
+    at_level, gain = fit(each, covariance, before.unsqueeze(-4), cost, memory, new, apart)
     score = gaussian_log_likelihood(each, covariance) + gain + log_prior
     best = score.argmax(-2, keepdim=True)
     wide = best[..., None, None].expand(*best.shape, *before.shape[-2:])
     columns = at_level.columns.gather(-4, wide).squeeze(-4)
-    return Interferers(columns, at_level.cost.gather(-2, best).squeeze(-2))
+    return Interferers(columns, at_level.cost.gather(-2, best).squeeze(-2), before)
+
+
+def beside_leftovers(
+    measurement: Measurement, covariance: Tensor, signal: Tensor, variance: Tensor, share: float
+) -> Tensor:
+    """What turns whitened snapshots into those beside what responses leave, `(*batch, I, R, R)`.
+
+    What responses leave has the amplitudes of their objects, and is no signal of its own. Along the
+    amplitudes, the rows of the conditional mean `C Sigma^-1 B` of all that objects send, it adds a share of
+    their energy to the noise of each sensor; there, snapshots say that much less.
+
+    Args:
+        measurement: statistics of the step.
+        covariance: Sigma, `(*batch, I, M, M)` complex, of objects and noise.
+        signal: C, `(*batch, I, M, M)` complex, of objects.
+        variance: eta, `(*batch, I)`.
+        share: mean energy of what a response leaves over that of its object.
+    """
+    lower = cholesky(covariance.to(torch.complex128), "background covariance")
+    factor = measurement.factor.to(lower.dtype).expand(*lower.shape[:-1], -1)
+    sent = signal.to(lower.dtype) @ torch.cholesky_solve(factor, lower)
+    energy, vector = torch.linalg.eigh(sent.mH @ sent)
+    of_each = (measurement.present.sum(-1) * variance).clamp_min(1e-30)[..., None]
+    louder = 1 + share * energy.clamp_min(0) / of_each
+    return vector @ (vector.mH / louder.sqrt()[..., None])
 
 
 def fit(
-    measurement: Measurement, covariance: Tensor, before: Tensor, cost: Tensor, memory: float, new: bool
+    measurement: Measurement,
+    covariance: Tensor,
+    before: Tensor,
+    cost: Tensor,
+    memory: float,
+    new: bool,
+    apart: Tensor | None = None,
 ) -> tuple[Interferers, Tensor]:
     """The signals of free signature that are worth their price beside a covariance.
 
@@ -142,17 +178,21 @@ def fit(
         cost: see `price`.
         memory: steps of data that the last signatures count as, at most: `DRIFT` lets strong ones forget.
         new: whether new ones may begin.
+        apart: see `beside_leftovers`; None where there are no objects.
 
     Returns:
         The signals, and what they are worth, price paid, `(*batch, I)` nats.
     """
-    lower, white = _whitened(measurement, covariance)
+    lower, every = _whitened(measurement, covariance)
     J, num = measurement.num_snapshots, before.shape[-1]
+    white = every if apart is None else every @ apart
+    # So many snapshots are left to speak for a signal; its power is that in all of them.
+    left = J if apart is None else J * apart.abs().square().sum((-2, -1)).to(J.dtype) / apart.shape[-1]
     old = torch.linalg.solve_triangular(
         lower, before.to(lower.dtype).expand(*lower.shape[:-1], num), upper=False
     )
     power_before = old.abs().square().sum(-2, keepdim=True)
-    remembered = old * (memory * J[..., None, None] / (1 + DRIFT * power_before)).sqrt()
+    remembered = old * (memory * left[..., None, None] / (1 + DRIFT * power_before)).sqrt()
     vector = torch.linalg.svd(torch.cat([white, remembered], -1), full_matrices=False).U[..., :num]
     level = (white.mH @ vector).abs().square().sum(-2)
     direction = old / power_before.sqrt().clamp_min(torch.finfo(power_before.dtype).tiny)
@@ -160,14 +200,15 @@ def fit(
     each = SURPRISE * overlap + (1 - overlap) * cost[..., None]
     if not new:
         each = torch.where(overlap > 0.5, each, torch.inf)
-    gain = peak_gain(J[..., None], level)
+    gain = peak_gain(left[..., None], level)
     kept = gain > each
-    power = torch.where(kept, level / J.clamp_min(1e-30)[..., None] - 1, 0.0)
+    whole = (every.mH @ vector).abs().square().sum(-2)
+    power = torch.where(kept, (whole / J.clamp_min(1e-30)[..., None] - 1).clamp_min(0), 0.0)
     columns = lower @ (vector * power.sqrt()[..., None, :])
     # Of a step without data nothing is known: what went on goes on.
     columns = torch.where((J > 0)[..., None, None], columns.to(before.dtype), before)
     paid, net = (torch.where(kept, t, 0.0).sum(-1).to(cost.dtype) for t in (each, gain - each))
-    return Interferers(columns, paid), net
+    return Interferers(columns, paid, before), net
 
 
 def _whitened(measurement: Measurement, covariance: Tensor) -> tuple[Tensor, Tensor]:
