@@ -5,6 +5,7 @@ import torch
 
 from torchdt.core.weights import (
     effective_sample_size,
+    log_sum,
     mean_and_covariance,
     normalise,
     standard_deviation,
@@ -73,3 +74,12 @@ def test_standard_deviations_of_a_narrow_set_far_away_in_single_precision():
     torch.testing.assert_close(
         standard_deviation(points, log_weight), torch.stack(expected), rtol=1e-5, atol=0
     )
+
+
+def test_a_sum_of_nothing_has_no_derivative():
+    weight = torch.tensor([[0.2, 0.0, 0.3], [0.0, 0.0, 0.0]], dtype=torch.float64).mT
+    log_weight = weight.log().requires_grad_()
+    found = log_sum(log_weight, -1)
+    torch.testing.assert_close(found.exp(), weight.sum(-1))
+    (gradient,) = torch.autograd.grad(found[[0, 2]].sum() + found[1].exp(), log_weight)
+    torch.testing.assert_close(gradient, (weight > 0).double())

@@ -24,6 +24,13 @@ def normalise(log_weight: Tensor) -> tuple[Tensor, Tensor]:
     return shifted - log_sum, total.squeeze(-1)
 
 
+def log_sum(log_weight: Tensor, dim: int) -> Tensor:
+    """`logsumexp` over one dimension, whose derivative is nothing, not nan, where every weight is zero."""
+    none = log_weight.isneginf().all(dim, keepdim=True)
+    total = torch.logsumexp(torch.where(none, 0.0, log_weight), dim)
+    return torch.where(none.squeeze(dim), -torch.inf, total)
+
+
 def effective_sample_size(log_weight: Tensor) -> Tensor:
     """`1 / sum w^2` of normalised log-weights, `(*batch, P)` to `(*batch,)`."""
     return torch.exp(-torch.logsumexp(2 * log_weight, -1))

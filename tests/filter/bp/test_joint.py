@@ -107,6 +107,22 @@ def test_gradients_are_those_of_enumeration():
     torch.testing.assert_close(found, expected, rtol=0, atol=0.08)
 
 
+def test_gradients_are_finite_whatever_is_not_there():
+    """An object that a configuration leaves out sends nothing, and a particle may have no weight at all."""
+    scene, beliefs, _ = hard(1)
+    weight, power = scene.prior.log_weight.clone(), scene.prior.power.clone().requires_grad_()
+    weight[:, 0] = -torch.inf
+    log_weight = weight.log_softmax(-1).requires_grad_()
+    prior = scene.prior._replace(log_weight=log_weight, power=power)
+    at = prior, scene.response, scene.measurement
+    found = joint_marginals(*at, beliefs, PAIR, PAIR, draws(64), WHITE).objects
+    assert found.log_weight[:, 0].isneginf().all()
+    value = found.log_odds.sum() + (found.log_weight.exp() * torch.arange(weight.shape[-1])).sum()
+    for gradient in torch.autograd.grad(value, [log_weight, power]):
+        assert gradient.isfinite().all()
+        assert gradient.ne(0).any()
+
+
 def three(log_odds: list[float]) -> Beliefs:
     """Two objects at the same place, a third elsewhere."""
     scene = make_scene(0, (), (), ((-30.0, -28.0), (40.0, 42.0)), num_noise=1, num_power=3)

@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.nn.functional import logsigmoid, softplus
 
 from torchdt.core.trees import select, tree_map
-from torchdt.core.weights import normalise
+from torchdt.core.weights import log_sum, normalise
 from torchdt.filter.bp.configurations import (
     Configurations,
     UniformDraws,
@@ -158,7 +158,10 @@ def _signal(
     there = (drawn.exists & others[..., None]).unsqueeze(-2)
     drawn_power = torch.where(there, prior.power.gather(-1, drawn.power), 0.0)
     particle = drawn.state[..., None, :, None].expand(*drawn_power.shape, response.shape[-1])
-    columns = response.gather(-2, particle).to(torch.complex128) * drawn_power.sqrt()[..., None]
+    # The root has an infinite derivative at zero, of which where() makes no nothing but nan.
+    sounds = drawn_power > 0
+    amplitude = torch.where(sounds, torch.where(sounds, drawn_power, 1.0).sqrt(), 0.0)
+    columns = response.gather(-2, particle).to(torch.complex128) * amplitude[..., None]
     columns = columns.movedim((-4, -2), (-1, -4))  # (*batch, S, I, M, N)
     itself = torch.zeros_like(others)
     itself[..., n] = True
@@ -199,7 +202,7 @@ def _mixture(given: ObjectBelief, log_weight: Tensor) -> ObjectBelief:
     log_there, log_not = log_weight + logsigmoid(given.log_odds), log_weight + logsigmoid(-given.log_odds)
     log_share, log_r = normalise(log_there)
     return ObjectBelief(
-        torch.logsumexp(given.log_weight + log_share[..., None], -2),
-        torch.logsumexp(given.log_power_weight + log_share[..., None, None], -3),
-        log_r - torch.logsumexp(log_not, -1),
+        log_sum(given.log_weight + log_share[..., None], -2),
+        log_sum(given.log_power_weight + log_share[..., None, None], -3),
+        log_r - log_sum(log_not, -1),
     )
