@@ -7,7 +7,7 @@ from oracles.arrays import direct_log_likelihood
 from oracles.enumeration import enumerate_pair
 from oracles.scenes import LEFT_RIGHT, SAME, TOUCHING, UNAMBIGUOUS, Scene, make_scene, unambiguous
 
-from torchdt.filter.bp.schedule import SEQUENTIAL, Flooding, Schedule, Sequential, as_belief, strongest_first
+from torchdt.filter.bp.schedule import SEQUENTIAL, Flooding, Schedule, Sequential, strongest_first
 from torchdt.filter.bp.update import update
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement
@@ -153,37 +153,6 @@ def test_batch_equals_single(schedule):
         torch.testing.assert_close(together.strength[b], alone.strength)
 
 
-def test_empty_slots_stay_empty_and_do_not_matter():
-    scene = make_scene(1, (-20.0, 25.0), (4.0, 4.0), LEFT_RIGHT)
-    empty = scene.prior._replace(log_odds=torch.full((2,), -torch.inf, dtype=torch.float64))
-    prior = Objects(*(torch.cat([e[:1], p]) for e, p in zip(empty, scene.prior, strict=True)))
-    response = torch.cat([scene.response[1:], scene.response])
-    with_empty = update(prior, response, scene.noise, scene.measurement)
-    alone = update(scene.prior, scene.response, scene.noise, scene.measurement)
-    assert with_empty.objects.log_odds[0] == -torch.inf
-    assert with_empty.strength[0].eq(0).all()
-    torch.testing.assert_close(with_empty.objects.log_odds[1:], alone.objects.log_odds)
-    torch.testing.assert_close(with_empty.objects.log_weight[1:], alone.objects.log_weight)
-
-
 def test_strongest_first_sorts_by_total_power_and_keeps_ties():
     strength = torch.tensor([[[1.0, 1.0], [0.0, 3.0], [-torch.inf, 0.0], [2.0, 0.0]]])
     assert strongest_first(strength).tolist() == [[1, 0, 3, 2]]
-
-
-def test_a_broken_measurement_is_named():
-    scene = make_scene(0, (-20.0,), (4.0,), LEFT_RIGHT)
-    broken = scene.measurement._replace(factor=scene.measurement.factor * torch.inf)
-    with pytest.raises(ArithmeticError, match="message to the object state"):
-        update(scene.prior, scene.response, scene.noise, broken)
-
-
-def test_belief_without_data_is_the_prior():
-    scene = make_scene(0, (-20.0,), (4.0,), LEFT_RIGHT)
-    silent = scene.measurement._replace(
-        factor=torch.zeros_like(scene.measurement.factor),
-        num_snapshots=torch.zeros_like(scene.measurement.num_snapshots),
-    )
-    found = update(scene.prior, scene.response, scene.noise, silent).objects
-    for belief, prior in zip(found, as_belief(scene.prior), strict=True):
-        torch.testing.assert_close(belief, prior)
