@@ -74,7 +74,8 @@ def test_a_recorded_source_goes_through_the_seam_under_one_label(launch, tmp_pat
     outcome = launch("scenario=all_round", *data, small=False)
     assert outcome.status == 0, outcome.err
     rows = outcome.rows("tracks.csv")
-    assert [row["label"] for row in rows] == ["1"] * 20
+    # In its first step, in a room with echoes, it may as well be a signal of free signature.
+    assert [(row["step"], row["label"]) for row in rows] == [(str(k), "1") for k in range(1, 20)]
     assert {float(row["bearing_deg"]) > 0 for row in rows} == {True, False}
     assert np.mean(outcome.scores) < 10
 

@@ -30,6 +30,7 @@ CONFIGURATIONS = {
 NEGATIVE = {
     *("seed", "seeds", "train_seeds", "heldout_seeds"),
     *("snr_db", "power_db", "gain_db"),
+    *("bow_m", "slope_m_per_km"),
     *("low", "high", "rate_low", "rate_high", "positions", "times_s", "truth_depth_m"),
 }
 """Numbers of which -1 may be one."""

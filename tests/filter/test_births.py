@@ -17,6 +17,7 @@ from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.history import TrackHistory
 from torchdt.filter.intensity.settings import Ignored
+from torchdt.filter.interference.settings import NoInterference
 from torchdt.filter.proposal.adapted import Adapted
 from torchdt.model.birth import Birth, UniformBirth
 from torchdt.model.birth_areas import AreaBirth
@@ -62,7 +63,8 @@ def step(
     )
     region = Region([Coordinate(**(BEARING | {"cell": cell}))], F64)
     model = Model(birth=birth or UniformBirth())
-    config = TrackerConfig(**settings, undetected=Ignored())
+    # The oracles know objects and noise alone: what sounds where no object can be is noise to them.
+    config = TrackerConfig(**settings, undetected=Ignored(), interference=NoInterference())
     tracker = DirectTracker(FIELD, region, 1.0, config, model)
     log_mean = torch.tensor(BIRTH_MEAN, dtype=F64).log().requires_grad_()
     tracker = tracker.with_model(tracker.model.with_numbers({"birth_mean": log_mean.exp()}))

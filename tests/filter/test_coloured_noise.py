@@ -1,7 +1,8 @@
 """Tracking in coloured noise is tracking in white noise with the whitened array.
 
 The estimates are the same, and the evidence differs by the Jacobian of whitening, `J log|N|` for each tone,
-N of the sensors that are there.
+N of the sensors that are there. Without interferers: the price of a free signature is in terms of the energy
+received at a sensor, which whitening changes.
 """
 
 import pytest
@@ -18,6 +19,7 @@ from torchdt.filter.bp.schedule import Flooding
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.history import TrackHistory
+from torchdt.filter.interference.settings import NoInterference
 from torchdt.filter.proposal.as_predicted import AsPredicted
 from torchdt.model.measurement import from_snapshots
 from torchdt.model.model import Model
@@ -51,9 +53,8 @@ class Array(BaseField):
 
 
 def track(mapping: Tensor, snapshots: Tensor, model: Model, share: float, config: dict) -> TrackHistory:
-    tracker = DirectTracker(
-        Array(mapping, share), make_region(), 1.0, TrackerConfig(**(SMALL | config)), model
-    )
+    settings = TrackerConfig(**(SMALL | config), interference=NoInterference())
+    tracker = DirectTracker(Array(mapping, share), make_region(), 1.0, settings, model)
     streams = RandomStreams.from_seeds([7], (1,), F64)
     with torch.inference_mode():
         return tracker.run(from_snapshots(snapshots[None]), PRIORS, streams)

@@ -235,7 +235,7 @@ def test_another_run(kept, one):
 
 
 def test_the_state_of_another_tracker(kept, one):
-    with pytest.raises(InputError, match=r"0-0.pt'.*content.state: 4 entries, expected 2 entries; another"):
+    with pytest.raises(InputError, match=r"0-0.pt'.*content.state: 5 entries, expected 2 entries; another"):
         track(one, build("two_step"), [7], keep=keeper(kept))
 
 
@@ -265,7 +265,7 @@ def changed(place, value):
         ("plan.pt", ["chunks"], lambda _: [("0", 1)], "content.chunks.0: '0', expected int"),
         ("0-0.pt", ["seconds"], lambda _: "long", "content.seconds: 'long', expected float"),
         ("0-0.pt", ["state"], None, "expected the keys state, history, streams, seconds"),
-        ("0-0.pt", ["state"], lambda state: state[:2], "content.state: 2 entries, expected 4 entries"),
+        ("0-0.pt", ["state"], lambda state: state[:2], "content.state: 2 entries, expected 5 entries"),
         ("0-0.pt", ["state", 0, 0], lambda t: t[:, :1], "content.state.0.0: a tensor .* expected a tensor"),
         ("0-0.pt", ["state", 0, 0], lambda t: t.double(), "of float64, expected a tensor .* of float32"),
         ("0-0.pt", ["history"], lambda _: (), "a history of 0 steps, expected 1 to 6"),
