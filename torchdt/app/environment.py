@@ -39,9 +39,18 @@ def waveguide_family(settings: TrackSettings, target: dict[str, Any], dtype: tor
         assert isinstance(field, NormalModeField)
         return field
 
-    config = settings.calibration
-    stds = [config.eof_std] * len(target["eofs"]["functions"][0])
-    return WaveguideFamily(solve, stds, config.tilt_std_deg, config.water_depth_std_m, settings.device)
+    config, sensors = settings.calibration, len(target["element_depths"])
+    return WaveguideFamily(
+        solve,
+        [config.eof_std] * len(target["eofs"]["functions"][0]),
+        config.tilt_std_deg,
+        config.water_depth_std_m,
+        settings.device,
+        bow_std_m=config.bow_std_m,
+        slope_std_m_per_km=config.slope_std_m_per_km,
+        gain_std_db=[config.gain_std_db] * sensors,
+        phase_std_deg=[config.phase_std_deg] * sensors,
+    )
 
 
 def calibrated_field(
@@ -63,7 +72,6 @@ def calibrated_field(
     )
     region = Region(region.coordinates, torch.float64, settings.device)
     prepared = prepare(recording, nominal, region)
-    names = [f"EOF {i + 1}" for i in range(len(family.prior_std) - 2)] + ["tilt (deg)", "water depth (m)"]
     fields = []
     for run in range(recording.batch_size):
         theta, share = calibrate(
@@ -74,10 +82,7 @@ def calibrated_field(
             config,
             generator(settings.seed + run, "calibration"),
         )
-        found = ", ".join(f"{name} {value:+.2f}" for name, value in zip(names, theta.tolist(), strict=True))
-        log.info(
-            "sequence %d: environment departs from nominal by %s", run, found if theta.any() else "nothing"
-        )
+        log.info("sequence %d: environment departs from nominal by %s", run, family.describe(theta))
         log.info("sequence %d: unexplained share of each tone %s", run, share.tolist())
         field = track_family.solve(theta) if theta.any() else nominal
         fields.append(MismatchedField(field, share.to(settings.torch_dtype)))

@@ -1,6 +1,5 @@
 """Calibrate a waveguide to a recording before tracking in it."""
 
-import logging
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -8,12 +7,14 @@ import torch
 from scipy.stats import chi2
 from torch import Generator, Tensor
 
-from torchdt.calibration.focalise import focalise
+from torchdt.calibration.focalise import Focus, focalise
 from torchdt.calibration.share import mismatch_share
-from torchdt.core.ranges import Checked, Count, InnerProbability, Passes, Positive, Steps
+from torchdt.calibration.stages import Fit, select
+from torchdt.core.ranges import Checked, Count, InnerProbability, NotNegative, Passes, Positive, Steps
 from torchdt.core.trees import tree_map
+from torchdt.field.base import BaseField
 from torchdt.field.waveguide.family import WaveguideFamily
-from torchdt.field.waveguide.waveguide import NormalModeField
+from torchdt.field.waveguide.mirage import MirageField, apparent_position, true_position
 from torchdt.filter.proposal.dictionary import build_dictionary
 from torchdt.filter.proposal.search import Picks, search
 from torchdt.model.gamma_chain import uniform_prior
@@ -21,8 +22,6 @@ from torchdt.model.measurement import Measurement
 from torchdt.model.noise.base import Noise
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
-
-log = logging.getLogger(__name__)
 
 
 @dataclass
@@ -39,6 +38,9 @@ class CalibrationConfig(Checked):
         false_alarm: probability of leaving the nominal environment where it is the true one.
         eof_std: prior standard deviation of each sound-speed EOF coefficient.
         tilt_std_deg, water_depth_std_m: prior standard deviations of array tilt and water depth.
+        bow_std_m: of the bow of the array; zero keeps it at its nominal value.
+        slope_std_m_per_km: of the slope of the bottom; likewise.
+        gain_std_db, phase_std_deg: of gain and phase of each sensor, alike in all tones; likewise.
     """
 
     KEY: ClassVar[str] = "calibration"
@@ -53,6 +55,10 @@ class CalibrationConfig(Checked):
     eof_std: Positive = 1.0
     tilt_std_deg: Positive = 1.0
     water_depth_std_m: Positive = 1.0
+    bow_std_m: NotNegative = 2.0
+    slope_std_m_per_km: NotNegative = 3.0
+    gain_std_db: NotNegative = 1.0
+    phase_std_deg: NotNegative = 10.0
 
 
 class Calibration(NamedTuple):
@@ -96,35 +102,57 @@ def calibrate(
     theta, count = torch.zeros_like(family.prior_std), min(config.steps, num_steps)
     chosen = torch.linspace(0, num_steps - 1, count, dtype=theta.dtype, device=theta.device).round().long()
     part = tree_map(lambda t: t[chosen], measurement)
-    field = family.solve(theta)
-    # Positions are found to a fraction of a cell; that is also how far a wrong environment moves them.
-    scale = region.cell / 4
+    groups, kept = family.groups, tuple[str, ...]()
+    field: BaseField = family.solve(theta)
     share = torch.zeros_like(priors.noise_max)
     for _ in range(config.passes):
         picks = _detect(field, region, part, priors, config, stream)
         if picks is None:
             break
-        start = (family.linearise(theta), family.prior_std, theta, picks.position, picks.active, part, scale)
-        fitted = focalise(*start)
-        fixed = focalise(*start, free_environment=False)
-        gain = float(fitted.log_posterior - fixed.log_posterior)
-        log.info(
-            "environment fit gains %.1f nats, leaves %.2g of the energy", gain, float(fitted.leftover.mean())
-        )
-        significant = gain > 0.5 * chi2.isf(config.false_alarm, len(theta))
-        if significant:
-            theta = fitted.theta
+        fitted, kept = select(_fit(family, region, theta, picks, part), groups, config.false_alarm, kept)
+        theta = fitted.theta
+        if kept:
             field = family.solve(theta)
-        position = fitted.position if significant else fixed.position
         if config.share:
-            share = mismatch_share(field, position, picks.active, part)
-        if not significant:
+            share = mismatch_share(field, fitted.position, picks.active, part)
+        if not kept:
             break
     return Calibration(theta, share)
 
 
+def _fit(
+    family: WaveguideFamily, region: Region, theta: Tensor, picks: Picks, measurement: Measurement
+) -> Fit:
+    """Fits around theta from the picks on."""
+    # Positions are found to a fraction of a cell; that is also how far a wrong environment moves them.
+    scale = region.cell / 4
+
+    def steepness(values: Tensor) -> Tensor:
+        return family.part(values, "slope_m_per_km").sum() / (1000 * family.water_depth)
+
+    def fit(free: Tensor, start: Focus | None) -> Focus:
+        values, position = (theta, picks.position) if start is None else (start.theta, start.position)
+        begin = torch.where(free, values, 0.0)
+        fields = family.linearise(begin, free)
+        # A slope moves what is seen; what is left for the fit are the details.
+        seen = apparent_position(position, steepness(values))
+        found = focalise(
+            lambda t: MirageField(fields(t), steepness(t)),
+            family.prior_std,
+            begin,
+            seen,
+            picks.active,
+            measurement,
+            scale,
+            free,
+        )
+        return found._replace(position=true_position(found.position, steepness(found.theta)))
+
+    return fit
+
+
 def _detect(
-    field: NormalModeField,
+    field: BaseField,
     region: Region,
     measurement: Measurement,
     priors: Priors,

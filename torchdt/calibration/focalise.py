@@ -21,6 +21,10 @@ FLOORS = (0.3, 0.1, 0.03, 0.0)
 """Added to the leftover share in turn: first what can be explained coarsely, then every detail."""
 
 
+TOLERANCE = 1e-5
+"""Change of the objective, nats over effective values and times steps, at which a fit ends."""
+
+
 class Focus(NamedTuple):
     """Result of a fit.
 
@@ -65,8 +69,8 @@ def focalise(
     active: Tensor,
     measurement: Measurement,
     position_scale: Tensor,
+    free: Tensor,
     *,
-    free_environment: bool = True,
     iterations: int = 60,
 ) -> Focus:
     """Fit environment and positions by L-BFGS from a start.
@@ -79,21 +83,22 @@ def focalise(
         active: `(S, N)` bool, which sources there are.
         measurement: statistics of batch `(S,)`, complex128.
         position_scale: `(d,)` typical size of position errors.
-        free_environment: fit theta too; else keep it and fit the positions only.
+        free: `(T,)` bool, which of theta to fit beside the positions.
         iterations: at most, for each floor.
     """
     # Every source's free amplitude takes one dimension from the residual.
     residual = (measurement.present.sum(-1) - active.sum(-1, keepdim=True)).clamp_min(1.0)
     weight = measurement.num_snapshots * residual
-    scaled_theta = (theta / prior_std).clone().requires_grad_(free_environment)
+    own = (theta[free] / prior_std[free]).clone().requires_grad_()
     shift = torch.zeros_like(position).requires_grad_()
-    variables = [scaled_theta, shift] if free_environment else [shift]
+    variables = [own, shift] if bool(free.any()) else [shift]
 
-    def evaluate(floor: float) -> tuple[Tensor, Tensor]:
-        response = fields(scaled_theta * prior_std)(position + shift * position_scale)
+    def evaluate(floor: float) -> tuple[Tensor, Tensor, Tensor]:
+        value = theta.masked_scatter(free, own * prior_std[free]) if len(variables) > 1 else theta
+        response = fields(value)(position + shift * position_scale)
         share = leftover_share(response, active, measurement)
         log_likelihood = -(weight * torch.log(share + floor)).sum()
-        return log_likelihood - 0.5 * scaled_theta.square().sum(), share
+        return log_likelihood - 0.5 * (value / prior_std).square().sum(), share, value
 
     scale = weight.sum().clamp_min(1.0)
     for floor in FLOORS:
@@ -102,7 +107,7 @@ def focalise(
             max_iter=iterations,
             history_size=30,
             line_search_fn="strong_wolfe",
-            tolerance_change=1e-9,
+            tolerance_change=TOLERANCE,
         )
 
         def objective(floor: float = floor, solver: torch.optim.Optimizer = solver) -> Tensor:
@@ -113,10 +118,5 @@ def focalise(
 
         solver.step(objective)
     with torch.no_grad():
-        log_posterior, share = evaluate(0.0)
-        return Focus(
-            scaled_theta.detach() * prior_std,
-            position + shift.detach() * position_scale,
-            log_posterior,
-            share,
-        )
+        log_posterior, share, value = evaluate(0.0)
+        return Focus(value, position + shift.detach() * position_scale, log_posterior, share)

@@ -30,11 +30,15 @@ class EnvironmentDraw(NamedTuple):
         eof_coefficients: of the sound-speed EOFs, standard deviations.
         tilt_deg: added to the array tilt, degrees.
         water_depth_m: added to the water depth, m.
+        bow_m: added to the bow of the array, m.
+        slope_m_per_km: added to how much the bottom rises away from the array.
     """
 
     eof_coefficients: tuple[float, ...] = ()
     tilt_deg: float = 0.0
     water_depth_m: float = 0.0
+    bow_m: float = 0.0
+    slope_m_per_km: float = 0.0
 
 
 def as_draw(draw: EnvironmentDraw | Mapping[str, Any] | None) -> EnvironmentDraw | None:
@@ -120,7 +124,8 @@ def waveguide(
             )
             depth = environment.water_depth + draw.water_depth_m
             environment = environment.perturbed(water_depth=depth, delta_c=delta)
-            tilt_deg = tilt_deg + draw.tilt_deg
+            tilt_deg, bow_m = tilt_deg + draw.tilt_deg, bow_m + draw.bow_m
+            slope_m_per_km = slope_m_per_km + draw.slope_m_per_km
         kind: Callable[..., NormalModeField] = NormalModeField
         if slope_m_per_km:
             kind = partial(SlopedField, slope=slope_m_per_km / 1000, length=slope_length_m)

@@ -1,17 +1,16 @@
 """How the simulator's environment and array differ from the tracker's; checked once, drawn for each run."""
 
-import math
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar
 
 import torch
-from torch import Generator, Tensor
+from torch import Generator
 
 from torchdt.core.errors import InputError, require
 from torchdt.core.ranges import Checked, Finite, Range, Seed
-from torchdt.field.base import BaseField, Field
+from torchdt.field.base import BaseField
 from torchdt.field.build import EnvironmentDraw
-from torchdt.field.wrapped import WrappedField
+from torchdt.field.uneven import UnevenArrayField, sensor_gains
 
 Magnitude = Annotated[float, Range("a number from 0 up", low=0, most=1e5)]
 Spread = Annotated[float, Range("a number from 0 up", low=0, most=360)]
@@ -95,36 +94,9 @@ def _require_waveguide(target: dict[str, Any]) -> None:
         raise InputError.of_key(MismatchSettings.KEY, "a mismatch", expected)
 
 
-class UnevenArrayField(WrappedField):
-    """A field whose sensors have gains and phases of their own, `g_m a_m(x)`.
-
-    Args:
-        field: of even sensors.
-        gain: g, `(M,)` complex.
-    """
-
-    def __init__(self, field: Field, gain: Tensor):
-        super().__init__(field)
-        self.gain = gain
-
-    def around(self, field: BaseField) -> Self:
-        """The same gains of another field."""
-        return type(self)(field, self.gain)
-
-    def __call__(self, state: Tensor) -> Tensor:
-        """Evaluate the response, `(*batch, D)` to `(*batch, I, M)`."""
-        return self.field(state) * self.gain
-
-    def incoherent(self, state: Tensor) -> Tensor | None:
-        """See `BaseField`; scaled like the response."""
-        covariance = self.field.incoherent(state)
-        return None if covariance is None else covariance * self.gain[:, None] * self.gain.conj()
-
-
 def with_array_errors(response: BaseField, mismatch: MismatchSettings, stream: Generator) -> BaseField:
     """A field with the gains and phases of one run; itself, and nothing drawn, where there are none."""
     if mismatch.gain_db == 0 and mismatch.phase_deg == 0:
         return response
     level, turn = torch.randn(2, response.num_sensors, generator=stream, dtype=torch.float64)
-    phase = math.radians(mismatch.phase_deg) * turn
-    return UnevenArrayField(response, torch.polar(10 ** (mismatch.gain_db * level / 20), phase))
+    return UnevenArrayField(response, sensor_gains(mismatch.gain_db * level, mismatch.phase_deg * turn))

@@ -1,21 +1,21 @@
-"""Waveguides beside the nominal one: sound-speed EOFs, array tilt and water depth as parameters.
+"""Waveguides beside the nominal one: sound speed, the array's shape and sensors, and the bottom as parameters.
 
 A mode solver is not differentiable, but wavenumbers and mode functions are smooth in the environment.
 Central differences at one environment give a field that is exact there, right to first order around it,
 and differentiable in the parameters.
 """
 
-import copy
+import functools
 from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
-from torchdt.core.errors import require
 from torchdt.core.support import REAL, Quantity
-from torchdt.field.base import Field
+from torchdt.field.base import BaseField
 from torchdt.field.build import EnvironmentDraw
-from torchdt.field.waveguide.shapes import interpolate_modes
+from torchdt.field.uneven import UnevenArrayField, sensor_gains
+from torchdt.field.waveguide.linearised import Departure, LinearisedModes, Sides
 from torchdt.field.waveguide.sloped import SlopedField
 from torchdt.field.waveguide.waveguide import NormalModeField
 
@@ -26,17 +26,39 @@ ENVIRONMENT = {
 }
 """What a likelihood can be differentiated in: changes of the environment from the nominal one."""
 
-_MODAL = ("_shapes", "_loss", "_cycles", "_receivers")
+GROUPS = {
+    "sound speed, tilt and depth": ("eof_coefficients", "tilt_deg", "water_depth_m"),
+    "bow": ("bow_m",),
+    "slope": ("slope_m_per_km",),
+    "sensors": ("gain_db", "phase_deg"),
+}
+"""Parameters of a family that leave their nominal values together or not at all."""
+
+WORDS = {
+    "eof_coefficients": "EOF{}",
+    "tilt_deg": "tilt (deg)",
+    "water_depth_m": "water depth (m)",
+    "bow_m": "bow (m)",
+    "slope_m_per_km": "slope (m/km)",
+    "gain_db": "sensor gains (dB)",
+    "phase_deg": "sensor phases (deg)",
+}
+"""What these are called for people."""
+
+SCALARS = ("water_depth_m", "tilt_deg", "bow_m", "slope_m_per_km")
+
+_SMALL_SLOPE = 1e-6
+"""Slope in m/km that stands for a flat bottom which may begin to slope."""
 
 
-def draw_of(theta: Tensor) -> EnvironmentDraw:
-    """Departure from the nominal environment of parameters `(E + 2,)`."""
-    *eofs, tilt, depth = theta.tolist()
-    return EnvironmentDraw(tuple(eofs), tilt, depth)
+_REMEMBERED = 32
+"""Fields kept, since fits of other groups of parameters begin at the same ones."""
 
 
 class WaveguideFamily:
-    """Fields by parameters `theta = (EOF coefficients ..., tilt in degrees, water depth change in m)`.
+    """Fields by parameters theta, which lie one behind another in the order of `WaveguideFamily.parts`.
+
+    A parameter of prior standard deviation zero is none: it is left out of theta and stays at its nominal value.
 
     Args:
         solve: makes the normal-mode field of a departure from the nominal environment.
@@ -44,6 +66,16 @@ class WaveguideFamily:
         tilt_std_deg: of the tilt, degrees.
         water_depth_std_m: of the water depth, m.
         device: of the parameters.
+        bow_std_m: of the bow of the array, m.
+        slope_std_m_per_km: of the rise of the bottom away from the array, m/km.
+        gain_std_db: of the gain of each of the sensors, dB; all zero for none.
+        phase_std_deg: of the phase of each of the sensors, degrees; all zero for none.
+
+    Attributes:
+        prior_std: `(T,)` float64.
+        water_depth: nominal, at the array, m.
+        parts: where in theta each of `eof_coefficients`, `tilt_deg`, `water_depth_m`, `bow_m`,
+            `slope_m_per_km`, `gain_db` and `phase_deg` is.
     """
 
     def __init__(
@@ -53,89 +85,117 @@ class WaveguideFamily:
         tilt_std_deg: float,
         water_depth_std_m: float,
         device: torch.device | str = "cpu",
+        *,
+        bow_std_m: float = 0.0,
+        slope_std_m_per_km: float = 0.0,
+        gain_std_db: Sequence[float] = (),
+        phase_std_deg: Sequence[float] = (),
     ):
-        self._solve = solve
-        self.prior_std = torch.tensor(
-            [*eof_std, tilt_std_deg, water_depth_std_m], dtype=torch.float64, device=device
-        )
+        self._solve = functools.lru_cache(maxsize=_REMEMBERED)(solve)
+        stds = {
+            "eof_coefficients": eof_std,
+            "tilt_deg": [tilt_std_deg],
+            "water_depth_m": [water_depth_std_m],
+            "bow_m": [bow_std_m],
+            "slope_m_per_km": [slope_std_m_per_km],
+            "gain_db": gain_std_db,
+            "phase_deg": phase_std_deg,
+        }
+        self.parts, flat = dict[str, slice](), list[float]()
+        for name, values in stds.items():
+            kept = list(values) if any(values) else []
+            self.parts[name] = slice(len(flat), len(flat) + len(kept))
+            flat += kept
+        self.prior_std = torch.tensor(flat, dtype=torch.float64, device=device)
+        self.water_depth = float(solve(EnvironmentDraw()).water_depth)
 
-    def solve(self, theta: Tensor) -> NormalModeField:
-        """Exact field of parameters `(E + 2,)`."""
-        return self._solve(draw_of(theta))
+    @property
+    def groups(self) -> dict[str, Tensor]:
+        """Masks `(T,)` of parameters that belong together, by name; none that is empty."""
+        masks = {}
+        for group, names in GROUPS.items():
+            mask = torch.zeros_like(self.prior_std, dtype=torch.bool)
+            for name in names:
+                mask[self.parts[name]] = True
+            masks[group] = mask
+        return {group: mask for group, mask in masks.items() if bool(mask.any())}
 
-    def linearise(self, theta0: Tensor) -> Callable[[Tensor], Field]:
+    def part(self, theta: Tensor, name: str) -> Tensor:
+        """Entries of theta by the name of their parameter, none where it is none."""
+        return theta[self.parts[name]]
+
+    def describe(self, theta: Tensor) -> str:
+        """What departs from the nominal environment, in words."""
+        found = []
+        for name, word in WORDS.items():
+            values = self.part(theta, name)
+            if name in ("gain_db", "phase_deg"):
+                spread = float(values.square().mean().sqrt()) if values.any() else 0.0
+                found += [f"{word} {spread:.2f} rms"] if spread else []
+            elif values.any():
+                numbers = [f" {i + 1}" for i in range(len(values))] if name == "eof_coefficients" else [""]
+                found += [
+                    f"{word.format(n)} {v:+.2f}" for n, v in zip(numbers, values.tolist(), strict=True)
+                ]
+        return ", ".join(found) or "nothing"
+
+    def draw(self, theta: Tensor) -> EnvironmentDraw:
+        """Departure from the nominal environment, without the sensors."""
+        eofs = tuple(self.part(theta, "eof_coefficients").tolist())
+        return EnvironmentDraw(eofs, **{name: float(self.part(theta, name).sum()) for name in SCALARS})
+
+    def solve(self, theta: Tensor) -> BaseField:
+        """Exact field of parameters `(T,)`."""
+        return self._through_sensors(self._solve(self.draw(theta)), theta)
+
+    def linearise(self, theta0: Tensor, free: Tensor | None = None) -> Callable[[Tensor], BaseField]:
         """Fields around `theta0`, differentiable in theta.
 
         Args:
-            theta0: `(E + 2,)` float64.
+            theta0: `(T,)` float64.
+            free: `(T,)` bool, which of theta may change; None is all.
 
         Returns:
-            A function from theta to the field: exact in the tilt, of first order in all else. Modes that only
-            some neighbouring environments have, at the edge of the phase speeds kept, are left out.
-
-        Raises:
-            InputError: where the bottom is not flat.
+            A function from theta to the field: exact in tilt, bow and sensors, of first order in all else, see
+            `LinearisedModes`. What is not free stays at that of `theta0`.
         """
-        centre = self.solve(theta0)
-        flat = not isinstance(centre, SlopedField)
-        require(flat, "field.slope_m_per_km", "a slope", "0, where the environment is fitted or tuned")
-        modal = [j for j in range(len(theta0)) if j != len(theta0) - 2]
-        sides = []
-        for j in modal:
-            step = torch.zeros_like(theta0)
-            step[j] = 0.5 * self.prior_std[j]
-            sides.append((self.solve(theta0 + step), self.solve(theta0 - step), self.prior_std[j]))
-        # A mode at the edge of the phase speeds kept may exist on one side only.
-        counts = [f.mode_counts for pair in sides for f in pair[:2]] + [centre.mode_counts]
-        common = [min(counts) for counts in zip(*counts, strict=True)]
-        base = _modal_tables(centre, centre, common)
-        slopes = []
-        for above, below, width in sides:
-            up, down = _modal_tables(above, centre, common), _modal_tables(below, centre, common)
-            slopes.append({name: (up[name] - down[name]) / width for name in _MODAL})
+        free = torch.ones_like(theta0, dtype=torch.bool) if free is None else free
+        draw, deeper = self.draw(theta0), None
+        centre = self._solve(draw)
+        slope = 1000 * float(centre.slope) if isinstance(centre, SlopedField) else 0.0
+        if slope == 0 and bool(self.part(free, "slope_m_per_km").any()):
+            centre = self._solve(draw._replace(slope_m_per_km=draw.slope_m_per_km + _SMALL_SLOPE))
+            deeper = self._sides(theta0, self.parts["water_depth_m"].start, 0.0)
+        modal = [j for j in self._modal() if free[j]]
+        modes = LinearisedModes(centre, [self._sides(theta0, j, slope) for j in modal], deeper)
+        index = torch.tensor(modal, dtype=torch.long, device=theta0.device)
 
-        def field_at(theta: Tensor) -> Field:
-            change = theta - theta0
-            field = copy.copy(centre)
-            tables = {
-                name: base[name]
-                + sum(change[j].to(s[name]) * s[name] for j, s in zip(modal, slopes, strict=True))
-                for name in _MODAL
-            }
-            field._buffers = {**centre._buffers, **tables, "_folded": None}
-            field.mode_counts = common
-            field.water_depth = centre.water_depth + change[-1]
-            field.tilt = centre.tilt + change[-2]
-            return field
+        def field_at(theta: Tensor) -> BaseField:
+            change = torch.where(free, theta - theta0, 0.0)
+            depth, tilt, bow, slope = (self.part(change, name).sum() for name in SCALARS)
+            departure = Departure(change[index], depth, tilt, bow, slope / 1000)
+            return self._through_sensors(modes.at(departure), torch.where(free, theta, theta0))
 
         return field_at
 
+    def _modal(self) -> list[int]:
+        """Where in theta the parameters are that change the modes."""
+        names = ("eof_coefficients", "water_depth_m")
+        return [j for name in names for j in range(self.parts[name].start, self.parts[name].stop)]
 
-def _modal_tables(
-    field: NormalModeField, reference: NormalModeField, counts: Sequence[int]
-) -> dict[str, Tensor]:
-    """Mode tables on the reference's depth grid, first `counts` modes of each tone, signs alike."""
-    tables = {name: _first_modes(getattr(field, name), name, field.mode_counts, counts) for name in _MODAL}
-    shapes = _first_modes(reference._shapes, "_shapes", reference.mode_counts, counts)
-    if len(tables["_shapes"]) != len(shapes):
-        tables["_shapes"] = _regrid(tables["_shapes"], len(shapes) // 2)
-    sign = torch.sign((tables["_shapes"] * shapes).sum(0))
-    tables["_shapes"] = tables["_shapes"] * sign
-    tables["_receivers"] = tables["_receivers"] * sign[:, None].to(tables["_receivers"])
-    return tables
+    def _sides(self, theta0: Tensor, j: int, slope: float) -> Sides:
+        """Fields half a standard deviation to both sides in one parameter, without the slope there is."""
+        width = float(self.prior_std[j])
+        step = torch.zeros_like(theta0)
+        step[j] = 0.5 * width
+        draws = [self.draw(theta) for theta in (theta0 + step, theta0 - step)]
+        above, below = (self._solve(d._replace(slope_m_per_km=d.slope_m_per_km - slope)) for d in draws)
+        return Sides(above, below, width)
 
-
-def _first_modes(table: Tensor, name: str, have: Sequence[int], keep: Sequence[int]) -> Tensor:
-    dim = 1 if name == "_shapes" else 0
-    parts = table.split(list(have), dim)
-    return torch.cat([part.narrow(dim, 0, count) for part, count in zip(parts, keep, strict=True)], dim)
-
-
-def _regrid(shapes: Tensor, num_nodes: int) -> Tensor:
-    """Values and scaled slopes, row by row in turn, on another number of nodes from surface to seafloor."""
-    fraction = torch.linspace(0, 1, num_nodes, dtype=shapes.dtype, device=shapes.device)
-    near = 1e-3 / num_nodes
-    above, below = (fraction + near).clamp_max(1.0), (fraction - near).clamp_min(0.0)
-    rise = interpolate_modes(shapes, above) - interpolate_modes(shapes, below)
-    slope = rise / (above - below)[:, None] / (num_nodes - 1)
-    return torch.stack([interpolate_modes(shapes, fraction), slope], 1).flatten(0, 1)
+    def _through_sensors(self, field: NormalModeField, theta: Tensor) -> BaseField:
+        gain, phase = self.part(theta, "gain_db"), self.part(theta, "phase_deg")
+        if not (gain.numel() or phase.numel()) or not bool(gain.any() or phase.any() or theta.requires_grad):
+            return field
+        none = theta.new_zeros(field.num_sensors)
+        gains = sensor_gains(gain if gain.numel() else none, phase if phase.numel() else none)
+        return UnevenArrayField(field, gains, normalize=field.normalize)

@@ -24,11 +24,15 @@ def interpolate_modes(shapes: Tensor, fraction: Tensor) -> Tensor:
     Returns:
         `(S, N)` mode functions.
     """
-    num_cells = len(shapes) // 2 - 1
+    rows, weights = hermite_rows(len(shapes) // 2 - 1, fraction)
+    return functional.embedding_bag(rows, shapes, per_sample_weights=weights, mode="sum")
+
+
+def hermite_rows(num_cells: int, fraction: Tensor) -> tuple[Tensor, Tensor]:
+    """Which rows of a table of `num_cells + 1` depths are mixed at fractions `(S,)`, and how: `(S, 4)` each."""
     position = fraction * num_cells
     cell = position.detach().long().clamp(0, num_cells - 1)
     t = position - cell
     u = 1 - t
     weights = torch.stack([(1 + 2 * t) * u * u, t * u * u, (1 + 2 * u) * t * t, -u * t * t], dim=-1)
-    rows = 2 * cell[:, None] + torch.arange(4, device=cell.device)
-    return functional.embedding_bag(rows, shapes, per_sample_weights=weights, mode="sum")
+    return 2 * cell[:, None] + torch.arange(4, device=cell.device), weights

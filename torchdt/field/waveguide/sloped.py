@@ -6,11 +6,11 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
+from torch.nn.functional import embedding_bag, pad
 
 from torchdt.field.waveguide.environment import Environment
 from torchdt.field.waveguide.modes import solve_modes
-from torchdt.field.waveguide.shapes import interleave, interpolate_modes
+from torchdt.field.waveguide.shapes import hermite_rows, interleave, interpolate_modes
 from torchdt.field.waveguide.waveguide import MIN_DEPTH, NormalModeField
 
 # Change of water depth between two solutions, m, at most. Wavenumbers are linear in between: what that leaves
@@ -46,6 +46,7 @@ class SlopedField(NormalModeField):
     _sloped_shapes: (
         Tensor  # (H + 1, 2 G, N) `_shapes` from the array to the end of the slope, zero where absent
     )
+    _added: Tensor | None = None  # (2 G, N) on top of `_sloped_shapes` everywhere, while an environment is fitted
     _sloped_cycles: Tensor  # (H + 1, N) `_cycles` likewise, float64
     _sloped_loss: Tensor  # (H + 1, N) `_loss` likewise, float64
 
@@ -76,7 +77,8 @@ class SlopedField(NormalModeField):
         if not (math.isfinite(rise) and length > 0 and rise < depth):
             expected = f"a finite one that leaves some of {depth} m of water"
             raise ValueError(f"slope is {slope} over {length} m; expected {expected}")
-        self.slope, self.length = slope, length
+        self.slope: float | Tensor = slope
+        self.length = length
         self.num_intervals = max(1, math.ceil(abs(rise) / _STEP))
         tables = [[solve_modes(environment, float(f), *solver) for f in freqs]]
         num_cells = len(tables[0][0].depth) - 1
@@ -113,15 +115,25 @@ class SlopedField(NormalModeField):
 
     def _amplitudes(self, distance: Tensor, depth: Tensor) -> Tensor:
         place = self._place(distance)
+        cell = place.detach().long().clamp(max=self.num_intervals - 1)
+        within = place - cell
         bottom = self.water_depth - self.slope * distance.clamp(max=self.length)
         inside = torch.minimum(depth.clamp(min=MIN_DEPTH), bottom)
-        value = depth.new_zeros(len(depth), self._sloped_shapes.shape[-1])
-        for node, shapes in enumerate(self._sloped_shapes):
-            weight = (1 - (place - node).abs()).clamp(min=0)  # linear interpolation between the nodes
-            near = weight > 0
-            local = self.water_depth - self.slope * self.length * node / self.num_intervals
-            fraction = (inside[near] / local).clamp(max=1.0)
-            value[near] += weight[near, None] * interpolate_modes(shapes, fraction)
+        height = self._sloped_shapes.shape[1]
+        rows, weights = [], []
+        for node, weight in ((cell, 1 - within), (cell + 1, within)):  # linear between the nodes
+            local = self.water_depth - self.slope * (self.length / self.num_intervals) * node
+            row, mix = hermite_rows(height // 2 - 1, (inside / local).clamp(max=1.0))
+            rows.append(row + height * node[:, None])
+            weights.append(mix * weight[:, None])
+        value = embedding_bag(
+            torch.cat(rows, -1),
+            self._sloped_shapes.flatten(0, 1),
+            per_sample_weights=torch.cat(weights, -1).to(depth.dtype),
+            mode="sum",
+        )
+        if self._added is not None:
+            value = value + interpolate_modes(self._added, (inside / bottom).to(depth.dtype))
         lost = self._integral(self._sloped_loss, distance.double())
         return value * torch.exp(-lost).to(value.dtype)
 

@@ -101,7 +101,8 @@ class NormalModeField(nn.Module, BaseField):
         self.num_sensors = len(sensor_depths)
         self.normalize, self.sign = normalize, sign
         self.water_depth: float | Tensor = bottom
-        self.tilt, self.bow = tilt, bow
+        self.tilt: float | Tensor = tilt
+        self.bow: float | Tensor = bow
 
         tables = [solve_modes(environment, float(f), max_phase_speed, points_per_wavelength) for f in freqs]
         self.mode_counts = [len(table.wavenumber) for table in tables]
