@@ -16,7 +16,7 @@ from torchdt.calibration.focalise import Focus
 
 log = logging.getLogger(__name__)
 
-_AGAIN = 4
+_AGAIN = 8
 """Fits around the result of the last one, at most."""
 
 Fit = Callable[[Tensor, Focus | None], Focus]
@@ -51,16 +51,20 @@ def select(
         return sum((groups[name] for name in names), nothing)
 
     best = fit(union(kept), None)
-    while len(kept) < len(groups):
+    for _ in range(2 * len(groups)):
         tried = {name: fit(union((*kept, name)), best) for name in groups if name not in kept}
-        surplus = {name: _gain(found, best) - price[name] for name, found in tried.items()}
-        name = max(surplus, key=surplus.__getitem__)
         gains = ", ".join(f"{_gain(found, best):.1f} by {name}" for name, found in tried.items())
-        log.info("environment fit gains %s, in nats", gains)
-        if surplus[name] <= 0:
+        log.info("environment fit gains %s, in nats", gains or "nothing more")
+        surplus = {name: _gain(found, best) - price[name] for name, found in tried.items()}
+        name = max(surplus, key=surplus.__getitem__, default="")
+        if not tried or surplus[name] <= 0:
             break
-        kept = (*kept, name)
-        best = _settled(fit, union(kept), tried[name])
+        # A fit may also gain by better positions, which are there for all.
+        fair = fit(union(kept), tried[name])
+        best = max(best, fair, key=lambda found: float(found.log_posterior))
+        if _gain(tried[name], best) > price[name]:
+            kept = (*kept, name)
+            best = _settled(fit, union(kept), tried[name])
     for name in kept[:-1]:
         others = tuple(other for other in kept if other != name)
         without = fit(union(others), best)

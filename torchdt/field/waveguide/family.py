@@ -49,6 +49,8 @@ SCALARS = ("water_depth_m", "tilt_deg", "bow_m", "slope_m_per_km")
 
 _SMALL_SLOPE = 1e-6
 """Slope in m/km that stands for a flat bottom which may begin to slope."""
+_GENTLE = 0.5
+"""Slope in m/km that is not known well enough from the depths it passes through."""
 
 
 _REMEMBERED = 32
@@ -163,9 +165,10 @@ class WaveguideFamily:
         draw, deeper = self.draw(theta0), None
         centre = self._solve(draw)
         slope = 1000 * float(centre.slope) if isinstance(centre, SlopedField) else 0.0
-        if slope == 0 and bool(self.part(free, "slope_m_per_km").any()):
-            centre = self._solve(draw._replace(slope_m_per_km=draw.slope_m_per_km + _SMALL_SLOPE))
-            deeper = self._sides(theta0, self.parts["water_depth_m"].start, 0.0)
+        if abs(slope) < _GENTLE and bool(self.part(free, "slope_m_per_km").any()):
+            if slope == 0:
+                centre = self._solve(draw._replace(slope_m_per_km=draw.slope_m_per_km + _SMALL_SLOPE))
+            deeper = self._sides(theta0, self.parts["water_depth_m"].start, slope)
         modal = [j for j in self._modal() if free[j]]
         modes = LinearisedModes(centre, [self._sides(theta0, j, slope) for j in modal], deeper)
         index = torch.tensor(modal, dtype=torch.long, device=theta0.device)

@@ -17,6 +17,8 @@ _SLOPED = ("_shapes", *_CARRIED)  # those that a sloped field also has along the
 _Tables = dict[str, Tensor]
 _BEGINNING = 12
 """Intervals of a slope that may begin."""
+_FLATTEST = 1e-3
+"""Share of a slope that is left at least where it gets flatter."""
 
 
 class Sides(NamedTuple):
@@ -53,15 +55,16 @@ class Departure(NamedTuple):
 class LinearisedModes:
     """Fields around one of them, differentiable in the departure.
 
-    Exact in tilt and bow, of first order in wavenumbers and mode functions. Over a slope the changes of those
-    that have sides are the same all along the way. With the slope itself tables change as they do from depth to
-    depth, as linear functions of `1 / D^2`: that is exact for the wavenumbers of an ideal waveguide. Modes that
-    only some of the fields have, at the edge of the phase speeds kept, are left out.
+    Exact in tilt, bow and a slope that there is, of first order in wavenumbers and mode functions otherwise.
+    Over a slope the changes of those that have sides are the same all along the way. Where a slope begins
+    wavenumbers change as linear functions of `1 / D^2`, which is exact for an ideal waveguide, and mode functions
+    stay what they are at their fraction of the depth. Modes that only some of the fields have, at the edge of
+    the phase speeds kept, are left out.
 
     Args:
         centre: the field in the middle.
         sides: of each parameter that changes the modes and is free to.
-        deeper: sides of the water depth, where a slope may begin at `centre`, which has one that is hardly any.
+        deeper: sides of the water depth, where a slope may begin at `centre`, which has hardly any.
     """
 
     def __init__(self, centre: NormalModeField, sides: Sequence[Sides], deeper: Sides | None = None):
@@ -72,26 +75,17 @@ class LinearisedModes:
         self._counts = [min(numbers) for numbers in zip(*counts, strict=True)]
         self._base = _modal_tables(centre, centre, self._counts)
         self._slopes = [self._change(side) for side in sides]
-        self._intervals, self._along, self._deeper = 0, _Tables(), _Tables()
+        self._deeper = None if deeper is None else self._change(deeper)
+        self._along = _Tables()
         if isinstance(centre, SlopedField):
-            self._lay_out(centre, deeper)
+            tables = {n: getattr(centre, f"_sloped{n}") for n in _SLOPED}
+            self._along = {n: _first_modes(t, -1, centre.mode_counts, self._counts) for n, t in tables.items()}
+            if deeper is not None:
+                self._along = {n: t[:1].repeat_interleave(_BEGINNING + 1, 0) for n, t in self._along.items()}
 
     def _change(self, side: Sides) -> _Tables:
         up, down = (_modal_tables(field, self._centre, self._counts) for field in side[:2])
         return {name: (up[name] - down[name]) / side.width for name in _MODAL}
-
-    def _lay_out(self, centre: SlopedField, deeper: Sides | None) -> None:
-        """Tables at the nodes of a slope, `(H + 1, ..., N)`, and their change with the water depth there."""
-        have = centre.mode_counts
-        tables = {n: _first_modes(getattr(centre, f"_sloped{n}"), -1, have, self._counts) for n in _SLOPED}
-        if deeper is None:
-            step = -float(centre.slope) * centre.length / centre.num_intervals
-            self._intervals, self._along = centre.num_intervals, tables
-            self._deeper = {n: torch.gradient(tables[n], spacing=step, dim=0)[0] for n in _CARRIED}
-        else:
-            change, self._intervals = self._change(deeper), _BEGINNING
-            self._along = {n: tables[n][:1].repeat_interleave(_BEGINNING + 1, 0) for n in _SLOPED}
-            self._deeper = {n: change[n].expand_as(self._along[n]) for n in _CARRIED}
 
     def at(self, departure: Departure) -> NormalModeField:
         """The field of a departure."""
@@ -102,19 +96,20 @@ class LinearisedModes:
         tables = {name: self._base[name] + changes[name] for name in _MODAL}
         field = copy.copy(self._centre)
         if isinstance(field, SlopedField):
-            device = field._heights.device
-            distance = torch.linspace(0, field.length, self._intervals + 1, dtype=torch.float64, device=device)
-            before = field.water_depth - field.slope * distance
-            after = before - departure.slope * distance
-            shift = before / 2 * (1 - (before / after).square())
-            # With the slope mode functions hardly change at their fraction of the depth.
             tables["_sloped_shapes"] = self._along["_shapes"]
             field._added = changes["_shapes"] if self._slopes else None
-            for name in _CARRIED:
-                table = self._along[name]
-                by_slope = shift.reshape(-1, *[1] * (table.ndim - 1)) * self._deeper[name]
-                tables[f"_sloped{name}"] = table + changes[name] + by_slope.to(table)
-            field.slope, field.num_intervals = field.slope + departure.slope, self._intervals
+            tables |= {f"_sloped{n}": self._along[n] + changes[n] for n in _CARRIED}
+            field.slope = field.slope + departure.slope
+            if self._deeper is None:  # nodes keep their depths
+                steeper = torch.as_tensor(field.slope / self._centre.slope).clamp_min(_FLATTEST)
+                field.interval = field.interval / steeper
+            else:  # nodes keep their ranges
+                field.num_intervals, field.interval = _BEGINNING, field.length / _BEGINNING
+                nodes = field.interval * torch.arange(_BEGINNING + 1, device=field._heights.device)
+                depth = field.water_depth
+                shift = depth / 2 * (1 - (depth / (depth - field.slope * nodes)).square())
+                for name in _CARRIED:
+                    tables[f"_sloped{name}"] = tables[f"_sloped{name}"] + shift[:, None] * self._deeper[name]
         field._buffers = {**self._centre._buffers, **tables, "_folded": None}
         field.mode_counts = self._counts
         field.water_depth = field.water_depth + departure.water_depth

@@ -69,7 +69,7 @@ class _Mesh:
         )
 
 
-@lru_cache(maxsize=128)
+@lru_cache(maxsize=512)
 def solve_modes(
     environment: Environment,
     frequency: float,

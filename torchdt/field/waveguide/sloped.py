@@ -44,7 +44,7 @@ class SlopedField(NormalModeField):
 
     _exact = (*NormalModeField._exact, "_sloped_cycles", "_sloped_loss")
     _sloped_shapes: (
-        Tensor  # (H + 1, 2 G, N) `_shapes` from the array to the end of the slope, zero where absent
+        Tensor  # (H + 1, 2 G, N) `_shapes` from the array to beyond the end of the slope, zero where absent
     )
     _added: Tensor | None = None  # (2 G, N) on top of `_sloped_shapes` everywhere, while an environment is fitted
     _sloped_cycles: Tensor  # (H + 1, N) `_cycles` likewise, float64
@@ -80,13 +80,16 @@ class SlopedField(NormalModeField):
         self.slope: float | Tensor = slope
         self.length = length
         self.num_intervals = max(1, math.ceil(abs(rise) / _STEP))
+        # Nodes lie at the same depths for all slopes, whose solutions are remembered.
+        step = min(_STEP, abs(rise))
+        self.interval: float | Tensor = step / abs(slope) if slope else length
         tables = [[solve_modes(environment, float(f), *solver) for f in freqs]]
         num_cells = len(tables[0][0].depth) - 1
         for part in range(1, self.num_intervals + 1):
-            local = environment.perturbed(water_depth=depth - rise * part / self.num_intervals)
+            local = environment.perturbed(water_depth=depth - math.copysign(step * part, rise))
             # As many cells in any depth of water, so that one tensor holds all of them.
-            step = local.water_depth / (num_cells - 0.5)
-            tables.append([solve_modes(local, float(f), *solver, step) for f in freqs])
+            cell = local.water_depth / (num_cells - 0.5)
+            tables.append([solve_modes(local, float(f), *solver, cell) for f in freqs])
         shapes = [self._joined([interleave(table, None) for table in node]) for node in tables]
         cycles, loss = (
             _carried(
@@ -108,7 +111,7 @@ class SlopedField(NormalModeField):
 
     def _place(self, distance: Tensor) -> Tensor:
         """Ranges `(S,)` in intervals of the slope, up to its end."""
-        return distance.clamp(max=self.length) / self.length * self.num_intervals
+        return (distance.clamp(max=self.length) / self.interval).clamp(max=self.num_intervals)
 
     def _travelled(self, distance: Tensor) -> Tensor:
         return self._integral(self._sloped_cycles, distance.double())
@@ -122,7 +125,7 @@ class SlopedField(NormalModeField):
         height = self._sloped_shapes.shape[1]
         rows, weights = [], []
         for node, weight in ((cell, 1 - within), (cell + 1, within)):  # linear between the nodes
-            local = self.water_depth - self.slope * (self.length / self.num_intervals) * node
+            local = self.water_depth - self.slope * self.interval * node
             row, mix = hermite_rows(height // 2 - 1, (inside / local).clamp(max=1.0))
             rows.append(row + height * node[:, None])
             weights.append(mix * weight[:, None])
@@ -139,14 +142,14 @@ class SlopedField(NormalModeField):
 
     def _integral(self, rate: Tensor, distance: Tensor) -> Tensor:
         """Integral over ranges `(S,)` of what is linear between values `(H + 1, N)`, and constant beyond."""
-        step = self.length / self.num_intervals
-        whole = (rate[1:] + rate[:-1]).cumsum(0) * (step / 2)
+        whole = (rate[1:] + rate[:-1]).cumsum(0) * (self.interval / 2)
         whole = torch.cat([torch.zeros_like(rate[:1]), whole])
         place = self._place(distance)
-        cell = place.long().clamp(max=self.num_intervals - 1)
+        cell = place.detach().long().clamp(max=self.num_intervals - 1)
         share = (place - cell)[:, None]
-        within = step * share * (rate[cell] + share / 2 * (rate[cell + 1] - rate[cell]))
-        return whole[cell] + within + (distance - self.length).clamp(min=0)[:, None] * rate[-1]
+        rise = share * (rate[cell + 1] - rate[cell])
+        within = self.interval * share * (rate[cell] + rise / 2)
+        return whole[cell] + within + (distance - self.length).clamp(min=0)[:, None] * (rate[cell] + rise)
 
 
 def _aligned(shapes: Sequence[Tensor]) -> Tensor:
