@@ -7,6 +7,7 @@ import torch
 from scipy.stats import chi2
 from torch import Generator, Tensor
 
+from torchdt.calibration.detect import Detections, detect
 from torchdt.calibration.focalise import Focus, focalise
 from torchdt.calibration.share import mismatch_share
 from torchdt.calibration.stages import Fit, select
@@ -15,11 +16,7 @@ from torchdt.core.trees import tree_map
 from torchdt.field.base import BaseField
 from torchdt.field.waveguide.family import WaveguideFamily
 from torchdt.field.waveguide.mirage import MirageField, apparent_position, true_position
-from torchdt.filter.proposal.dictionary import build_dictionary
-from torchdt.filter.proposal.search import Picks, search
-from torchdt.model.gamma_chain import uniform_prior
 from torchdt.model.measurement import Measurement
-from torchdt.model.noise.base import Noise
 from torchdt.model.prior import Priors
 from torchdt.model.region import Region
 
@@ -106,7 +103,7 @@ def calibrate(
     field: BaseField = family.solve(theta)
     share = torch.zeros_like(priors.noise_max)
     for _ in range(config.passes):
-        picks = _detect(field, region, part, priors, config, stream)
+        picks = detect(field, region, part, priors, config.sources, config.threshold, stream)
         if picks is None:
             break
         fitted, kept = select(_fit(family, region, theta, picks, part), groups, config.false_alarm, kept)
@@ -121,7 +118,7 @@ def calibrate(
 
 
 def _fit(
-    family: WaveguideFamily, region: Region, theta: Tensor, picks: Picks, measurement: Measurement
+    family: WaveguideFamily, region: Region, theta: Tensor, picks: Detections, measurement: Measurement
 ) -> Fit:
     """Fits around theta from the picks on."""
     # Positions are found to a fraction of a cell; that is also how far a wrong environment moves them.
@@ -149,33 +146,3 @@ def _fit(
         return found._replace(position=true_position(found.position, steepness(found.theta)))
 
     return fit
-
-
-def _detect(
-    field: BaseField,
-    region: Region,
-    measurement: Measurement,
-    priors: Priors,
-    config: CalibrationConfig,
-    stream: Generator,
-) -> Picks | None:
-    """Sources of each step by matching pursuit."""
-    size = measurement.num_snapshots.shape[0]
-    signal = torch.zeros_like(measurement.factor[..., :1] * measurement.factor[..., :1].mH)
-    noise = Noise(*uniform_prior(priors.noise_max.expand(size, -1), 64))
-    free = torch.full((size,), config.sources, device=signal.device)
-    shape = (size, config.sources, 6, 128, region.num_coordinates)
-    draws = torch.randn(shape, generator=stream, dtype=torch.float64, device=stream.device)
-    dictionary = build_dictionary(field, region)
-    with torch.no_grad():
-        return search(
-            field,
-            region,
-            dictionary,
-            measurement,
-            signal,
-            noise,
-            free,
-            torch.full((size,), config.threshold, dtype=torch.float64, device=signal.device),
-            draws.to(signal.device),
-        )[0]

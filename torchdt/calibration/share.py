@@ -4,7 +4,8 @@ import torch
 from torch import Tensor
 
 from torchdt.core.trees import tree_map
-from torchdt.field.waveguide.waveguide import NormalModeField
+from torchdt.field.base import BaseField
+from torchdt.filter.interference.signatures import free_gains, price
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood, mask_covariance
 
 SHARES = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.5, 0.7)
@@ -12,12 +13,13 @@ NOISE_DECADES, NOISE_POINTS = 5.0, 26
 
 
 def mismatch_share(
-    field: NormalModeField, position: Tensor, active: Tensor, measurement: Measurement
+    field: BaseField, position: Tensor, active: Tensor, measurement: Measurement
 ) -> Tensor:
     """Maximum-likelihood share eps of each tone, over a grid, noise variance profiled out.
 
     The covariance of a step is `sum_n gamma_n [(1 - eps) a_n a_n^H + eps R(x_n)] + eta I` with powers from
-    least squares; eps and eta are common to the steps.
+    least squares; eps and eta are common to the steps. Beside it there may be a signal of free signature, at
+    its price (`torchdt.filter.interference.signatures`): what is no source raises no share.
 
     Args:
         field: fitted field.
@@ -44,6 +46,7 @@ def mismatch_share(
     for share in SHARES:
         signal = (1 - share) * coherent + share * scattered
         covariance = mask_covariance(signal[:, None], noise.expand(len(position), -1, -1), per_noise.present)
-        scores.append(gaussian_log_likelihood(per_noise, covariance).sum(0).amax(0))
+        beside = free_gains(per_noise, covariance, 1)[..., 0] - price(per_noise, noise)
+        scores.append((gaussian_log_likelihood(per_noise, covariance) + beside.clamp_min(0)).sum(0).amax(0))
     best = torch.stack(scores).argmax(0)
     return torch.tensor(SHARES, dtype=level.dtype, device=level.device)[best]
