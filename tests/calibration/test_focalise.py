@@ -5,18 +5,23 @@ import pytest
 import torch
 from oracles.arrays import complex_normal
 
-from torchdt.calibration.focalise import Focus, focalise, leftover_share
+from torchdt.calibration.focalise import Focus, explanations, focalise, leftover
 from torchdt.model.measurement import from_snapshots
 
 pytestmark = pytest.mark.slow
 F64 = torch.float64
 SCALE = torch.tensor([6.25, 0.5], dtype=F64)
 NOMINAL = torch.zeros(4, dtype=F64)
+ALL, NOTHING = torch.ones(4, dtype=torch.bool), torch.zeros(4, dtype=torch.bool)
 
 
 @pytest.fixture(scope="module")
 def linear(family):
     return family.linearise(NOMINAL)
+
+
+def leftover_of(*arguments) -> torch.Tensor:
+    return leftover(*arguments)[0]
 
 
 def random_data(seed: int, *shape: int):
@@ -40,7 +45,7 @@ def test_leftover_share_is_the_residual_of_least_squares():
     active = torch.tensor([[1, 1, 1], [1, 0, 1], [0, 0, 1], [0, 0, 0]], dtype=torch.bool)
     z[1, 0, :, 3] = torch.nan
     z[2, 1, :, 6:] = torch.nan
-    found = leftover_share(response, active, from_snapshots(z))
+    found = leftover_of(response, active, from_snapshots(z))
     assert found.shape == (4, 2)
     for s, i in np.ndindex(4, 2):
         heard = ~z[s, i].isnan().any(0)
@@ -54,7 +59,7 @@ def test_leftover_share_of_what_is_explained_and_of_silence():
     active = torch.ones(2, 2, dtype=torch.bool)
     z[0] = torch.einsum("ijn,nim->ijm", complex_normal(torch.Generator(), 2, 3, 2), response[0])
     z[1, 1] = torch.nan
-    found = leftover_share(response, active, from_snapshots(z))
+    found = leftover_of(response, active, from_snapshots(z))
     assert (found[0] < 1e-4).all()
     assert (found > 0).all()
     assert found[1, 1] == 1
@@ -63,7 +68,7 @@ def test_leftover_share_of_what_is_explained_and_of_silence():
 def test_two_sources_on_the_same_spot_do_not_break_it():
     response, z = random_data(3, 1, 2, 2, 3, 8)
     response[:, 1] = response[:, 0]
-    found = leftover_share(response, torch.ones(1, 2, dtype=torch.bool), from_snapshots(z))
+    found = leftover_of(response, torch.ones(1, 2, dtype=torch.bool), from_snapshots(z))
     for i in range(2):
         assert float(found[0, i]) == pytest.approx(
             residual(response[0, :1, i].numpy(), z[0, i].numpy()), rel=1e-4
@@ -81,8 +86,10 @@ def fit(linear, family, scene):
     """A fit of both sources in all steps."""
     active = torch.ones(8, 2, dtype=torch.bool)
 
-    def fit(start, theta=NOMINAL, **options) -> Focus:
-        return focalise(linear, family.prior_std, theta, start, active, scene.measurement, SCALE, **options)
+    def fit(start, theta=NOMINAL, free=ALL, **options) -> Focus:
+        return focalise(
+            linear, family.prior_std, theta, start, active, scene.measurement, SCALE, free, **options
+        )
 
     return fit
 
@@ -105,7 +112,7 @@ def test_finds_environment_and_positions(fitted, linear, family, scene):
     assert fitted.leftover.mean() < 0.02
     active = torch.ones(8, 2, dtype=torch.bool)
     torch.testing.assert_close(
-        fitted.leftover, leftover_share(linear(fitted.theta)(fitted.position), active, scene.measurement)
+        fitted.leftover, leftover_of(linear(fitted.theta)(fitted.position), active, scene.measurement)
     )
     # Three snapshots of 21 sensors, two sources.
     log_likelihood = -(3 * (21 - 2) * fitted.leftover.log()).sum()
@@ -122,12 +129,12 @@ def test_reaches_the_same_optimum_from_farther_off(fit, fitted, scene):
 def test_keeps_the_environment_on_demand(fit, fitted, linear, scene):
     theta = torch.tensor([0.5, -0.2, 0.3, 0.1], dtype=F64)
     start = scene.truth + torch.tensor([15.0, 0.7], dtype=F64)
-    fixed = fit(start, theta, free_environment=False)
+    fixed = fit(start, theta, free=NOTHING)
     torch.testing.assert_close(fixed.theta, theta, rtol=0.0, atol=1e-15)
     assert (fixed.position - start).abs().max() > 1
     assert not fixed.position.requires_grad
     assert not fixed.theta.requires_grad
-    before = leftover_share(linear(theta)(start), torch.ones(8, 2, dtype=torch.bool), scene.measurement)
+    before = leftover_of(linear(theta)(start), torch.ones(8, 2, dtype=torch.bool), scene.measurement)
     assert fixed.leftover.log().mean() < before.log().mean()
     assert fitted.log_posterior > fixed.log_posterior + 500
 
@@ -140,9 +147,7 @@ def test_absent_sources_and_silent_steps_stay_where_they_are(linear, family, sce
         factor=scene.measurement.factor.clone(), num_snapshots=scene.measurement.num_snapshots.clone()
     )
     silent.factor[5], silent.num_snapshots[5] = 0, 0
-    fixed = focalise(
-        linear, family.prior_std, NOMINAL, start, active, silent, SCALE, free_environment=False, iterations=20
-    )
+    fixed = focalise(linear, family.prior_std, NOMINAL, start, active, silent, SCALE, NOTHING, iterations=20)
     moved = (fixed.position - start).abs().amax(-1)
     assert moved[2, 1] == 0
     assert moved[5].eq(0).all()

@@ -70,7 +70,7 @@ def detect(
         nowhere = region.lower_end.expand(size, 1, -1)
         return Detections(nowhere, torch.zeros(size, 1, dtype=torch.bool, device=like.device))
 
-    column = _strongest(measurement)
+    column = strongest(measurement)
     first = found_beside(0 * column @ column.mH)
     plain, with_signal = _explained(field, first, measurement)
     if bool((with_signal > plain).any()):
@@ -82,7 +82,7 @@ def detect(
     return first if bool(first.active.any()) else None
 
 
-def _strongest(measurement: Measurement) -> Tensor:
+def strongest(measurement: Measurement) -> Tensor:
     """The strongest signal of each step and tone, `(S, I, M, 1)`: signature times the root of the power."""
     vector, value, _ = torch.linalg.svd(measurement.factor, full_matrices=False)
     root = value[..., :1] / measurement.num_snapshots.clamp_min(1.0).sqrt()[..., None]

@@ -12,9 +12,7 @@ SHARES = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.5, 0.7)
 NOISE_DECADES, NOISE_POINTS = 5.0, 26
 
 
-def mismatch_share(
-    field: BaseField, position: Tensor, active: Tensor, measurement: Measurement
-) -> Tensor:
+def mismatch_share(field: BaseField, position: Tensor, active: Tensor, measurement: Measurement) -> Tensor:
     """Maximum-likelihood share eps of each tone, over a grid, noise variance profiled out.
 
     The covariance of a step is `sum_n gamma_n [(1 - eps) a_n a_n^H + eps R(x_n)] + eta I` with powers from
@@ -42,11 +40,19 @@ def mismatch_share(
     steps = torch.linspace(-NOISE_DECADES, 0.0, NOISE_POINTS, dtype=level.dtype, device=level.device)
     noise = level.clamp_min(torch.finfo(level.dtype).tiny) * 10 ** steps[:, None]
     per_noise = tree_map(lambda t: t[:, None], measurement)
-    scores = []
+    cost = price(per_noise, noise)
+    scores, heard = [], []
     for share in SHARES:
         signal = (1 - share) * coherent + share * scattered
         covariance = mask_covariance(signal[:, None], noise.expand(len(position), -1, -1), per_noise.present)
-        beside = free_gains(per_noise, covariance, 1)[..., 0] - price(per_noise, noise)
-        scores.append((gaussian_log_likelihood(per_noise, covariance) + beside.clamp_min(0)).sum(0).amax(0))
-    best = torch.stack(scores).argmax(0)
+        beside = free_gains(per_noise, covariance, 1)[..., 0] - cost
+        scores.append(gaussian_log_likelihood(per_noise, covariance) + beside.clamp_min(0))
+        heard.append(beside > 0)
+    score = torch.stack(scores)  # of shares, steps, noise levels and tones
+    total, level_of = score.sum(1).max(1)
+    best = total.argmax(0)
+    # Few modes explain anything at low tones, also what is no source: its steps are judged by all tones together.
+    tone = torch.arange(score.shape[-1], device=best.device)
+    interfered = torch.stack(heard)[best, :, level_of[best, tone], tone].double().mean(0) > 0.5
+    best = (score * ~interfered[:, None, None]).sum(1).amax(1).argmax(0)
     return torch.tensor(SHARES, dtype=level.dtype, device=level.device)[best]

@@ -2,11 +2,12 @@
 
 import pytest
 import torch
+from oracles.waveguide import configured
 
 from torchdt.field import NormalModeField
-from torchdt.field.build import EnvironmentDraw
+from torchdt.field.build import EnvironmentDraw, waveguide
 from torchdt.field.waveguide.environment import combine_eofs
-from torchdt.field.waveguide.family import WaveguideFamily, draw_of
+from torchdt.field.waveguide.family import WaveguideFamily
 
 F64 = torch.float64
 EOF_DEPTHS = (0, 8, 16, 25, 40, 60, 100, 160)
@@ -130,7 +131,71 @@ def test_a_mode_at_the_edge_may_exist_on_one_side_only(make, states):
         assert squared_correlation(linear(theta)(states), family.solve(theta)(states)) > 0.999
 
 
-def test_draw_of_parameters():
-    draw = draw_of(torch.tensor([0.5, -1.0, 2.0, 0.25, -0.75], dtype=F64))
-    assert draw == EnvironmentDraw((0.5, -1.0, 2.0), 0.25, -0.75)
-    assert draw_of(torch.zeros(2)) == EnvironmentDraw((), 0.0, 0.0)
+def test_draw_of_parameters(make):
+    family = make(49.0)
+    draw = family.draw(torch.tensor([0.5, -1.0, 0.25, -0.75], dtype=F64))
+    assert draw == EnvironmentDraw((0.5, -1.0), 0.25, -0.75)
+    assert family.describe(torch.zeros(4, dtype=F64)) == "nothing"
+
+
+@pytest.fixture(scope="module")
+def whole(tones):
+    """A family of all parameters: one EOF, tilt, depth, bow, slope, and gains and phases of 21 sensors."""
+    eofs = {"depths": EOF_DEPTHS, "functions": [[row[0]] for row in EOFS]}
+    keywords = configured(freqs=(49, 148, 388), eofs=eofs, slope_m_per_km=0.0)
+
+    def solve(draw: EnvironmentDraw) -> NormalModeField:
+        return waveguide(**keywords, draw=draw, dtype=F64)
+
+    sensors = {"gain_std_db": [1.0] * 21, "phase_std_deg": [10.0] * 21}
+    return WaveguideFamily(solve, [1.0], 1.0, 1.0, bow_std_m=2.0, slope_std_m_per_km=3.0, **sensors)
+
+
+def departed(family: WaveguideFamily, **values: float) -> torch.Tensor:
+    theta = torch.zeros_like(family.prior_std)
+    for name, value in values.items():
+        theta[family.parts[name]] = value
+    return theta
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.2, -0.2, 5.3, -4.0])
+def test_follows_a_slope_from_another(whole, states, slope):
+    """Exactly where there is one to go on from, and from a flat bottom for a metre in a kilometre."""
+    start = departed(whole, slope_m_per_km=slope)
+    free = departed(whole, slope_m_per_km=1.0).bool()
+    linear = whole.linearise(start, free)
+    for change in (0.1, 0.3, -0.3):
+        theta = start + change * free
+        exact = whole.solve(theta)(states)
+        least = 0.9999 if abs(slope) > 1 else 0.999
+        assert (squared_correlation(linear(theta)(states), exact) > least).all()
+        assert squared_correlation(whole.solve(start)(states), exact)[-1] < 0.99
+
+
+@pytest.mark.parametrize("slope", [0.0, 3.0])
+def test_gradient_in_all_parameters(whole, slope):
+    start = departed(whole, slope_m_per_km=slope)
+    linear = whole.linearise(start)
+    generator = torch.Generator().manual_seed(0)
+    theta = start + 0.2 * torch.randn(len(start), generator=generator, dtype=F64)
+    state = torch.tensor([[2345.6, 57.3]], dtype=F64)
+
+    def found(theta: torch.Tensor) -> torch.Tensor:
+        return torch.view_as_real(linear(theta)(state)).flatten()
+
+    jacobian = torch.autograd.functional.jacobian(found, theta)
+    for j in (0, 1, 2, 3, 4, 5, len(theta) - 1):
+        step = torch.zeros_like(theta)
+        step[j] = 1e-4
+        difference = (found(theta + step) - found(theta - step)) / 2e-4
+        torch.testing.assert_close(jacobian[:, j], difference, rtol=1e-4, atol=1e-6)
+
+
+def test_only_what_is_free_changes(whole, states):
+    start = departed(whole, slope_m_per_km=3.0, bow_m=1.0)
+    free = departed(whole, bow_m=1.0).bool()
+    moved = start + 1.0
+    expected = torch.where(free, moved, start)
+    found = whole.linearise(start, free)(moved)(states)
+    torch.testing.assert_close(found, whole.solve(expected)(states), rtol=0.0, atol=1e-12)
+    assert whole.describe(start) == "bow (m) +1.00, slope (m/km) +3.00"

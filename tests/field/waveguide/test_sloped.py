@@ -5,10 +5,8 @@ import pytest
 import torch
 from oracles.waveguide import DEPTHS, FREQS, WATER, configured
 
-from torchdt.core.errors import InputError
 from torchdt.field import Environment, HalfSpace, NormalModeField, solve_modes
 from torchdt.field.build import waveguide
-from torchdt.field.waveguide.family import WaveguideFamily
 from torchdt.field.waveguide.sloped import SlopedField
 
 DOUBLE = torch.float64
@@ -106,11 +104,8 @@ def test_a_slope_leaves_water(slope, length):
 
 
 def test_configured():
-    """A slope makes the field; environments are fitted to flat bottoms alone."""
+    """A slope makes the field."""
     short = configured(freqs=[49], slope_m_per_km=2.0, slope_length_m=1000.0)
     made = waveguide(**short, dtype=DOUBLE)
     assert isinstance(made, SlopedField)
     assert (made.slope, made.length) == (0.002, 1000.0)
-    family = WaveguideFamily(lambda draw: waveguide(**short, draw=draw), [1.0], 1.0, 1.0)
-    with pytest.raises(InputError, match=r"'field.slope_m_per_km': .* 0, where the environment is fitted"):
-        family.linearise(torch.zeros(3, dtype=DOUBLE))

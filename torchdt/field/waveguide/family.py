@@ -136,9 +136,7 @@ class WaveguideFamily:
                 found += [f"{word} {spread:.2f} rms"] if spread else []
             elif values.any():
                 numbers = [f" {i + 1}" for i in range(len(values))] if name == "eof_coefficients" else [""]
-                found += [
-                    f"{word.format(n)} {v:+.2f}" for n, v in zip(numbers, values.tolist(), strict=True)
-                ]
+                found += [f"{word.format(n)} {v:+.2f}" for n, v in zip(numbers, values.tolist(), strict=True)]
         return ", ".join(found) or "nothing"
 
     def draw(self, theta: Tensor) -> EnvironmentDraw:

@@ -79,7 +79,9 @@ class LinearisedModes:
         self._along = _Tables()
         if isinstance(centre, SlopedField):
             tables = {n: getattr(centre, f"_sloped{n}") for n in _SLOPED}
-            self._along = {n: _first_modes(t, -1, centre.mode_counts, self._counts) for n, t in tables.items()}
+            self._along = {
+                n: _first_modes(t, -1, centre.mode_counts, self._counts) for n, t in tables.items()
+            }
             if deeper is not None:
                 self._along = {n: t[:1].repeat_interleave(_BEGINNING + 1, 0) for n, t in self._along.items()}
 
@@ -105,7 +107,7 @@ class LinearisedModes:
                 field.interval = field.interval / steeper
             else:  # nodes keep their ranges
                 field.num_intervals, field.interval = _BEGINNING, field.length / _BEGINNING
-                nodes = field.interval * torch.arange(_BEGINNING + 1, device=field._heights.device)
+                nodes = field.interval * torch.arange(_BEGINNING + 1).to(field._heights)
                 depth = field.water_depth
                 shift = depth / 2 * (1 - (depth / (depth - field.slope * nodes)).square())
                 for name in _CARRIED:

@@ -46,7 +46,9 @@ class SlopedField(NormalModeField):
     _sloped_shapes: (
         Tensor  # (H + 1, 2 G, N) `_shapes` from the array to beyond the end of the slope, zero where absent
     )
-    _added: Tensor | None = None  # (2 G, N) on top of `_sloped_shapes` everywhere, while an environment is fitted
+    _added: Tensor | None = (
+        None  # (2 G, N) on top of `_sloped_shapes` everywhere, while an environment is fitted
+    )
     _sloped_cycles: Tensor  # (H + 1, N) `_cycles` likewise, float64
     _sloped_loss: Tensor  # (H + 1, N) `_loss` likewise, float64
 
