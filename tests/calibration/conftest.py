@@ -28,6 +28,18 @@ def family() -> WaveguideFamily:
 
 
 @pytest.fixture(scope="session")
+def whole() -> WaveguideFamily:
+    """Environments of everything that can be fitted."""
+    keywords = configured(freqs=TONES)
+
+    def solve(draw: EnvironmentDraw) -> NormalModeField:
+        return waveguide(**keywords, draw=draw, dtype=torch.float64)
+
+    sensors = {"gain_std_db": [1.0] * 21, "phase_std_deg": [10.0] * 21}
+    return WaveguideFamily(solve, [1.0, 1.0], 1.0, 1.0, bow_std_m=2.0, slope_std_m_per_km=3.0, **sensors)
+
+
+@pytest.fixture(scope="session")
 def nominal(family) -> NormalModeField:
     return family.solve(torch.zeros(4, dtype=torch.float64))
 

@@ -64,6 +64,42 @@ def test_share_is_estimated_on_demand_only(family, nominal, scene, measure, scat
     assert fit(family, data, steps=1, passes=1, share=False).share.eq(0).all()
 
 
+def departed(family, **values) -> torch.Tensor:
+    theta = torch.zeros_like(family.prior_std)
+    for name, value in values.items():
+        theta[family.parts[name]] = torch.as_tensor(value, dtype=F64)
+    return theta
+
+
+def test_finds_bow_gains_and_phases_of_the_sensors(whole, scene, measure):
+    """Common factors and what looks like a tilt cannot be told; the rest is found to some per cent."""
+    rng = torch.Generator().manual_seed(2)
+    gain, phase = torch.randn(2, 21, generator=rng, dtype=F64) * torch.tensor([[1.5], [12.0]], dtype=F64)
+    theta = departed(whole, bow_m=2.5, gain_db=gain, phase_deg=phase)
+    found = fit(whole, measure(whole.solve(theta)(scene.truth), 4), steps=8).theta
+    assert float(whole.part(found, "bow_m")) == pytest.approx(2.5, abs=0.1)
+    assert whole.part(found, "slope_m_per_km") == 0
+    for name, truth, error in (("gain_db", gain, 0.3), ("phase_deg", phase, 3.0)):
+        assert (whole.part(found, name) - truth).std() < error
+
+
+def test_finds_a_slope_and_nothing_else(whole, scene, measure):
+    theta = departed(whole, slope_m_per_km=4.0)
+    found = fit(whole, measure(whole.solve(theta)(scene.truth), 4), steps=8).theta
+    assert float(whole.part(found, "slope_m_per_km")) == pytest.approx(4.0, abs=0.15)
+    assert found.count_nonzero() == 1
+
+
+def test_a_loud_signal_from_outside_bends_nothing(whole, scene, measure):
+    """A ship 10 dB louder than the sources, far outside the region."""
+    field = whole.solve(departed(whole))
+    ship = torch.tensor([6500.0, 5.0], dtype=F64).expand(8, 1, 2)
+    response = torch.cat([field(scene.truth), 10**0.5 * field(ship)], 1)
+    found = fit(whole, measure(response, 4), steps=8)
+    assert not found.theta.any()
+    assert (found.share <= 0.003).all()
+
+
 @pytest.mark.parametrize("first", [0, 1])
 def test_steps_are_spread_over_the_recording(family, nominal, scene, measure, first):
     """Sources in every third step only: found where these are the steps looked at, not where others are."""
@@ -85,6 +121,10 @@ def test_steps_are_spread_over_the_recording(family, nominal, scene, measure, fi
         *((name, 0, "a positive integer") for name in ("steps", "sources", "passes")),
         *((name, 0.0, "a positive number") for name in ("eof_std", "tilt_std_deg", "water_depth_std_m")),
         ("tilt_std_deg", float("nan"), "a positive number"),
+        *(
+            (n, -1.0, "a number from 0 up")
+            for n in ("bow_std_m", "slope_std_m_per_km", "gain_std_db", "phase_std_deg")
+        ),
         ("false_alarm", 0.0, "a probability"),
         ("false_alarm", 1.0, "a probability"),
     ],

@@ -5,7 +5,7 @@ import pytest
 import torch
 from oracles.arrays import complex_normal
 
-from torchdt.calibration.focalise import Focus, explanations, focalise, leftover
+from torchdt.calibration.focalise import Focus, focalise, leftover
 from torchdt.model.measurement import from_snapshots
 
 pytestmark = pytest.mark.slow

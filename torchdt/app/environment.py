@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 
 def waveguide_family(settings: TrackSettings, target: dict[str, Any], dtype: torch.dtype) -> WaveguideFamily:
-    """Waveguides by sound-speed EOFs, tilt and water depth.
+    """Waveguides by all that the calibration may fit.
 
     Args:
         settings: with the standard deviations of these.

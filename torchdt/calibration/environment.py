@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import torch
-from scipy.stats import chi2
 from torch import Generator, Tensor
 
 from torchdt.calibration.detect import Detections, detect

@@ -2,9 +2,9 @@
 
 Each step and tone is explained as well as the responses of its sources allow, amplitudes free. With the
 noise variance profiled out the log-likelihood of J snapshots on M sensors with N sources is
-`-J (M - N) log rho`, where rho is the share of the energy that is left over. What is no source, as a ship outside
-the region, must not bend the environment: one signal of free spatial signature may take its part of what
-is left over, at the price of its numbers (`torchdt.filter.interference.signatures`). Sources share one environment
+`-J (M - N) log rho`, where rho is the share of the energy that is left over. What is no source, as a ship
+outside the region, must not bend the environment: one signal of free spatial signature may take its part of
+what is left over, at its price (`torchdt.filter.interference.signatures`). Sources share one environment
 over all steps and tones; that is what tells a wrong environment from a wrong position (Collins and Kuperman,
 J. Acoust. Soc. Am. 90, 1991).
 """
@@ -34,7 +34,7 @@ class Focus(NamedTuple):
     Attributes:
         theta: `(T,)` float64 environment.
         position: `(S, N, d)` float64 source positions.
-        log_posterior: scalar, the better of the two `explanations` summed over steps and tones, plus the log prior of theta.
+        log_posterior: scalar, the better `explanations` summed over steps and tones, plus log prior of theta.
         leftover: `(S, I)` share rho of the energy left unexplained.
     """
 
@@ -45,7 +45,7 @@ class Focus(NamedTuple):
 
 
 def leftover(response: Tensor, active: Tensor, measurement: Measurement) -> tuple[Tensor, Tensor]:
-    """Share of the energy outside the span of the responses, and that beside one more signal of any signature.
+    """Share of the energy outside the span of the responses, without and with one more signal of any kind.
 
     Args:
         response: `(S, N, I, M)` complex.

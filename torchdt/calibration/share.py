@@ -51,7 +51,7 @@ def mismatch_share(field: BaseField, position: Tensor, active: Tensor, measureme
     score = torch.stack(scores)  # of shares, steps, noise levels and tones
     total, level_of = score.sum(1).max(1)
     best = total.argmax(0)
-    # Few modes explain anything at low tones, also what is no source: its steps are judged by all tones together.
+    # Few modes at low tones explain also what is no source: steps are judged by all tones together.
     tone = torch.arange(score.shape[-1], device=best.device)
     interfered = torch.stack(heard)[best, :, level_of[best, tone], tone].double().mean(0) > 0.5
     best = (score * ~interfered[:, None, None]).sum(1).amax(1).argmax(0)

@@ -20,7 +20,7 @@ _AGAIN = 8
 """Fits around the result of the last one, at most."""
 
 Fit = Callable[[Tensor, Focus | None], Focus]
-"""Fit of the parameters that a mask `(T,)` frees, others nominal, from a start; None is where detection ended."""
+"""Fit of the parameters that a mask `(T,)` frees, others nominal, from a start; None is what was detected."""
 
 
 def select(
@@ -29,8 +29,8 @@ def select(
     """Fit with the groups that the likelihood asks for.
 
     Twice the gain of a group that is not needed is distributed as chi-squared with as many degrees of
-    freedom as it has parameters, or less for the prior. All groups together enter by chance with a probability of
-    `false_alarm` at most.
+    freedom as it has parameters, or less for the prior. By chance any of the groups enters with a probability
+    of `false_alarm` at most.
 
     Args:
         fit: see `Fit`.

@@ -1,4 +1,4 @@
-"""Waveguides beside the nominal one: sound speed, the array's shape and sensors, and the bottom as parameters.
+"""Waveguides beside the nominal one: sound speed, bottom, and the array's shape and sensors as parameters.
 
 A mode solver is not differentiable, but wavenumbers and mode functions are smooth in the environment.
 Central differences at one environment give a field that is exact there, right to first order around it,
@@ -60,7 +60,7 @@ _REMEMBERED = 32
 class WaveguideFamily:
     """Fields by parameters theta, which lie one behind another in the order of `WaveguideFamily.parts`.
 
-    A parameter of prior standard deviation zero is none: it is left out of theta and stays at its nominal value.
+    A parameter of prior standard deviation zero is left out of theta and stays at its nominal value.
 
     Args:
         solve: makes the normal-mode field of a departure from the nominal environment.
@@ -156,8 +156,8 @@ class WaveguideFamily:
             free: `(T,)` bool, which of theta may change; None is all.
 
         Returns:
-            A function from theta to the field: exact in tilt, bow and sensors, of first order in all else, see
-            `LinearisedModes`. What is not free stays at that of `theta0`.
+            A function from theta to the field: exact in tilt, bow and sensors, else see `LinearisedModes`.
+            What is not free stays at that of `theta0`.
         """
         free = torch.ones_like(theta0, dtype=torch.bool) if free is None else free
         draw, deeper = self.draw(theta0), None

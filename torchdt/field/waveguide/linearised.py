@@ -57,9 +57,9 @@ class LinearisedModes:
 
     Exact in tilt, bow and a slope that there is, of first order in wavenumbers and mode functions otherwise.
     Over a slope the changes of those that have sides are the same all along the way. Where a slope begins
-    wavenumbers change as linear functions of `1 / D^2`, which is exact for an ideal waveguide, and mode functions
-    stay what they are at their fraction of the depth. Modes that only some of the fields have, at the edge of
-    the phase speeds kept, are left out.
+    wavenumbers change as linear functions of `1 / D^2`, which is exact for an ideal waveguide, and mode
+    functions stay what they are at their fraction of the depth. Modes that only some of the fields have, at
+    the edge of the phase speeds kept, are left out.
 
     Args:
         centre: the field in the middle.
@@ -101,10 +101,9 @@ class LinearisedModes:
             tables["_sloped_shapes"] = self._along["_shapes"]
             field._added = changes["_shapes"] if self._slopes else None
             tables |= {f"_sloped{n}": self._along[n] + changes[n] for n in _CARRIED}
-            field.slope = field.slope + departure.slope
+            before, field.slope = field.slope, field.slope + departure.slope
             if self._deeper is None:  # nodes keep their depths
-                steeper = torch.as_tensor(field.slope / self._centre.slope).clamp_min(_FLATTEST)
-                field.interval = field.interval / steeper
+                field.interval = field.interval / torch.as_tensor(field.slope / before).clamp_min(_FLATTEST)
             else:  # nodes keep their ranges
                 field.num_intervals, field.interval = _BEGINNING, field.length / _BEGINNING
                 nodes = field.interval * torch.arange(_BEGINNING + 1).to(field._heights)

@@ -29,7 +29,7 @@ def interpolate_modes(shapes: Tensor, fraction: Tensor) -> Tensor:
 
 
 def hermite_rows(num_cells: int, fraction: Tensor) -> tuple[Tensor, Tensor]:
-    """Which rows of a table of `num_cells + 1` depths are mixed at fractions `(S,)`, and how: `(S, 4)` each."""
+    """Rows of a table of `num_cells + 1` depths mixed at fractions `(S,)`, and how: `(S, 4)` each."""
     position = fraction * num_cells
     cell = position.detach().long().clamp(0, num_cells - 1)
     t = position - cell
