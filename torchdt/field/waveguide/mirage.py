@@ -1,9 +1,9 @@
 """Where a source over a sloping bottom is seen by one who believes the bottom flat.
 
 In water of depth D the horizontal wavenumber of mode n is about `k - (n pi / D)^2 / (2 k)`. Over a bottom
-that rises evenly from D(0) to D(r) the mean of `1 / D^2` is `1 / (D(0) D(r))`, so that each mode has the phase
-of the range `r D(0) / D(r)` over a flat bottom, and the value of the depth `z D(0) / D(r)`: the mirage of D'Spain et
-al., J. Acoust. Soc. Am. 105, 1999.
+that rises evenly from D(0) to D(r) the mean of `1 / D^2` is `1 / (D(0) D(r))`, so that each mode has the
+phase of the range `r D(0) / D(r)` over a flat bottom, and the value of the depth `z D(0) / D(r)`: the mirage
+of D'Spain et al., J. Acoust. Soc. Am. 105, 1999.
 """
 
 import torch
