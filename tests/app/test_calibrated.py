@@ -90,7 +90,7 @@ def test_better_than_the_nominal_environment_and_says_what_it_found(launch, cali
     for run in range(2):
         assert set(found(calibrated.log, run)) == names
         assert f"sequence {run}: unexplained share of each tone [" in calibrated.log
-    assert calibrated.log.count("environment fit gains") == 2
+    assert calibrated.log.count("environment fit gains") >= 2
 
 
 def test_finds_the_tilt_of_the_simulation(calibrated):
