@@ -21,7 +21,7 @@ def beliefs(strength: float, free: torch.Tensor, variance: float) -> Beliefs:
     nothing = torch.zeros(1, 1, dtype=torch.float64)
     power = torch.full((1, TONES), strength, dtype=torch.float64)
     noise = Noise(torch.full((TONES, 1), variance, dtype=torch.float64), torch.zeros(TONES, 1).double())
-    found = Interferers(free, torch.zeros(TONES, dtype=torch.float64))
+    found = Interferers(free, torch.zeros(TONES, dtype=torch.float64), free)
     return Beliefs(ObjectBelief(nothing, nothing, nothing[0]), noise, moment, power, power, None, found)
 
 

@@ -5,7 +5,8 @@ all; and a signal that is no object is worth less than the many objects that it 
 may go alone. Whole explanations are therefore compared where new objects are in question or a new signal is:
 
 - all objects have their say before any is doubted;
-- each is doubted from the start, and what new signals explain is gone before objects are looked for again.
+- each is doubted from the start, and what new signals explain is gone before objects are looked for again;
+- where signals go on, the same without them: what was once taken for no object may be one after all.
 
 That of the larger `free_energy` is kept.
 """
@@ -22,6 +23,7 @@ from torchdt.filter.bp.update import free_energy, update
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.context import StepContext
 from torchdt.filter.interference.settings import Interference, beside
+from torchdt.filter.interference.signatures import Interferers
 from torchdt.filter.placement import Placer
 from torchdt.filter.predict import Predicted
 from torchdt.filter.proposal.cells import Unexplained
@@ -77,9 +79,20 @@ class Explainer:
         if not rivals.signatures:
             placed, residual = self._place(beliefs)
             return Explanation(placed, residual, self._update(placed, placed.beliefs, rivals))
-        signal = beliefs.signal
-        seen = self.context.measurement, self.context.model.noise, beliefs.noise, signal
+        seen = self.context.measurement, self.context.model.noise, beliefs.noise, beliefs.signal
         going_on = rivals.follow(*seen, self.before, new=False)
+        best = self._beside(going_on)
+        if not going_on.any:
+            return best
+        # What was once taken for no object may be one after all: it may have to begin anew.
+        nothing = going_on._replace(columns=torch.zeros_like(going_on.columns))
+        best, fresh = _alike(best, self._beside(nothing))
+        there = (going_on.columns != 0).flatten(-3).any(-1)
+        return select(there & self._better(fresh, best), fresh, best)
+
+    def _beside(self, going_on: Interferers) -> Explanation:
+        """The best explanation that starts from some interferers."""
+        rivals, beliefs = self.config.interference, self.predicted.beliefs
         placed, residual = self._place(beliefs._replace(interferers=going_on))
         doubted = Explanation(placed, residual, self._update(placed, placed.beliefs, rivals))
         found = doubted.beliefs.interferers

@@ -72,7 +72,7 @@ def test_a_rival_is_what_exceeds_the_price(heard):
 
 
 def test_what_stands_beside_the_noise():
-    nothing = Interferers(before(3), torch.zeros(2, 2))
+    nothing = Interferers(before(3), torch.zeros(2, 2), before(3))
     assert beside(WHITE, None) is WHITE
     assert beside(WHITE, nothing) is WHITE
     columns = before(3)

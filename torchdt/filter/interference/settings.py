@@ -142,8 +142,8 @@ class FreeSignatures(Checked):
     Attributes:
         signatures: K, number in a tone, at most.
         memory: steps of data that the signature of the last step counts as.
-        echoes: mean energy of an echo over that of its object, and largest of what a response leaves where the
-            existence of its object is in question; zero for none.
+        echoes: mean energy of an echo over that of its object, and largest of what a response leaves where
+            the existence of its object is in question; zero for none.
         leftovers: mean energy of what a response leaves over that of its object, where new signals are.
     """
 
