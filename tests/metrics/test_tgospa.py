@@ -166,7 +166,19 @@ def test_trajectories_follow_labels():
     blank = torch.zeros(4)
     tracks = trajectories(
         TrackHistory(
-            blank, blank, declared, label, state[..., :1], state, blank, blank, blank, blank, blank, blank
+            blank,
+            blank,
+            declared,
+            label,
+            state[..., :1],
+            state,
+            blank,
+            blank,
+            blank,
+            blank,
+            blank,
+            blank,
+            blank,
         )
     )
     np.testing.assert_array_equal(tracks, lines([0, 4, 10, NAN], [NAN, 6, 8, NAN]))

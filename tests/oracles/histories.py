@@ -13,5 +13,17 @@ def line_history(label: Sequence[Sequence[int]], position: Sequence[Sequence[flo
     state = torch.stack([place, torch.zeros_like(place)], -1)
     blank = torch.zeros(len(labels))
     return TrackHistory(
-        blank, blank, labels > 0, labels, state[..., :1], state, blank, blank, blank, blank, blank, blank
+        blank,
+        blank,
+        labels > 0,
+        labels,
+        state[..., :1],
+        state,
+        blank,
+        blank,
+        blank,
+        blank,
+        blank,
+        blank,
+        blank,
     )

@@ -48,6 +48,7 @@ def history():
         state_std=torch.tensor([2.0, 0.5, 0.25, 0.125]).expand_as(state).clone(),
         power=torch.tensor([10.0, 1000.0]).expand(B, K, N, I).clone(),
         noise=torch.tensor([1.0, 0.01]).expand(B, K, I).clone(),
+        shares=torch.tensor([0.5, 0.25, 0.125, 0.125]).expand(B, K, I, 4).clone(),
         effective_sample_size=torch.full((B, K, N), 80.0),
         failed=torch.zeros(B, K, dtype=torch.bool),
         log_evidence=torch.tensor([[-1.5], [-2.5]]).expand(B, K).clone(),

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from torchdt.app.report import files
+from torchdt.app.report.energy import hints
 from torchdt.model.model import Model
 from torchdt.model.motion.constant_velocity import ConstantVelocity
 
@@ -88,6 +89,8 @@ def test_metrics_json(tmp_path, history, score):
         "seed": 5,
         "log_likelihood": -12.0,
         "failed_steps": 2,
+        "energy": {"objects": 0.5, "interferers": 0.25, "noise": 0.125, "unexplained": 0.125},
+        "hints": hints(history),
         "seconds": 2.0,
         "steps_per_second": 6.0,
         "gospa": {

@@ -36,6 +36,7 @@ def test_scalars(tmp_path, history, score):
     events = read(tmp_path / "tensorboard")
     labels = ("label_03", "label_12")
     expected = {f"gospa/{part}" for part in ("total", "localisation", "missed", "false")}
+    expected |= {f"energy/{part}" for part in ("objects", "interferers", "noise", "unexplained")}
     expected |= {"count/declared", "count/true", "log_evidence", "noise_db/tone_1", "noise_db/tone_2"}
     expected |= {
         f"{kind}/{label}"
