@@ -16,6 +16,7 @@ from torchdt.filter.bp.evidence import GaussianEvidence, SampledEvidence
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.intensity import undetected
 from torchdt.filter.intensity.undetected import log_ratio
+from torchdt.filter.interference.settings import NoInterference
 from torchdt.filter.proposal.adapted import Adapted
 from torchdt.filter.proposal.as_predicted import AsPredicted
 from torchdt.model.measurement import Measurement, from_snapshots
@@ -46,8 +47,9 @@ def central_difference(value: Callable[[Tensor], float], at: Tensor, relative: f
 @MODES
 def test_gradient_in_the_parameters_equals_finite_differences(measurement, proposal, evidence, gradient):
     """Common random numbers, nothing resampled: relative error 1e-5. The driving variance moves particles,
-    which for the score is no part of the gradient."""
-    tracker = make_tracker(proposal=proposal, evidence=evidence, gradient=gradient, **SMALL)
+    which for the score is no part of the gradient. Nor is how much objects are doubted for what is none."""
+    parts = {"proposal": proposal, "evidence": evidence, "gradient": gradient}
+    tracker = make_tracker(interference=NoInterference(), **parts, **SMALL)
     with frozen_proposals() as tapes:
         _, found = differentiate(tracker, measurement)
         assert tapes[2].record

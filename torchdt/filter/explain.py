@@ -32,6 +32,9 @@ from torchdt.filter.proposal.moved import Draws
 from torchdt.filter.slots import Placed
 from torchdt.model.prior import Priors
 
+ANEW = 30.0
+"""Nats by which data must be explained better without a signal that was there, for it to go."""
+
 
 class Explanation(NamedTuple):
     """What is believed after the messages of a step.
@@ -88,7 +91,7 @@ class Explainer:
         nothing = going_on._replace(columns=torch.zeros_like(going_on.columns))
         best, fresh = _alike(best, self._beside(nothing))
         there = (going_on.columns != 0).flatten(-3).any(-1)
-        return select(there & self._better(fresh, best), fresh, best)
+        return select(there & self._better(fresh, best, ANEW), fresh, best)
 
     def _beside(self, going_on: Interferers) -> Explanation:
         """The best explanation that starts from some interferers."""
@@ -137,13 +140,13 @@ class Explainer:
             before=self.before if rivals.signatures else None,
         )
 
-    def _better(self, first: Explanation, second: Explanation) -> Tensor:
-        """Where the first explains the data better, `(*batch,)`."""
+    def _better(self, first: Explanation, second: Explanation, by: float = 0.0) -> Tensor:
+        """Where the first explains the data better by so many nats, `(*batch,)`."""
         value = [
             free_energy(e.beliefs, e.placed.objects, self.context.measurement, self.context.noise)
             for e in (first, second)
         ]
-        return value[0] > value[1]
+        return value[0] > value[1] + by
 
 
 def _alike(*explanations: Explanation) -> list[Explanation]:

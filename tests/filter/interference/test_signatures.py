@@ -123,7 +123,7 @@ def test_nor_is_it_where_the_level_is_not_known():
     measurement = from_snapshots(complex_normal(rng, 3000, 2, 3, 8))
     nothing = torch.zeros(3000, 2, 8, 3, dtype=torch.complex128)
     signal = torch.zeros(3000, 2, 8, 8, dtype=torch.complex128)
-    found = follow(measurement, WHITE, any_level(3000, 2), signal, nothing, 2.0, True)
+    found = follow(measurement, WHITE, any_level(3000, 2), signal, nothing, 2.0, True, 0.01)
     assert (found.columns != 0).any(-2).any(-1).double().mean() < 1e-3
 
 
@@ -133,7 +133,7 @@ def test_a_loud_signal_is_found_whatever_the_level():
     signature = 10 * complex_normal(rng, 4, 2, 8, 1)
     snapshots = complex_normal(rng, 4, 2, 3, 8) + complex_normal(rng, 4, 2, 3, 1) * signature.mT
     before, signal = (torch.zeros(4, 2, 8, n, dtype=torch.complex128) for n in (3, 8))
-    found = follow(from_snapshots(snapshots), WHITE, any_level(4, 2), signal, before, 2.0, True)
+    found = follow(from_snapshots(snapshots), WHITE, any_level(4, 2), signal, before, 2.0, True, 0.01)
     number = (found.columns != 0).any(-2).sum(-1)
     assert number.eq(1).all()
     loudest = found.columns.abs().square().sum(-2).argmax(-1)

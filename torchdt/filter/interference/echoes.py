@@ -9,7 +9,7 @@ z_j`, and `alpha_p ~ CN(0, tau^2)` in each tone, echoes are worth, beside nothin
 
     y_j = a^H Sigma^-1 z_j,    g = a^H Sigma^-1 a,    S = (s_pj)
 
-nats, which is exact given the amplitudes. As many parents as snapshots explain anything.
+nats, which is exact given the amplitudes. As many parents as snapshots explain anything: one fewer is asked.
 
 What a response itself leaves has the amplitudes of its object too: a signature `a + v` with `v ~ CN(0, tau^2
 |a|^2 / M I)`. With `b = sum_j (z_j - a s_j) s_j^* / |s|` and `t = tau^2 |a|^2 |s|^2 / M` it is worth

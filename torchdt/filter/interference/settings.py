@@ -16,6 +16,9 @@ from torchdt.filter.interference.signatures import Interferers, fit, follow, fre
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood
 from torchdt.model.noise.base import Noise, NoiseCovariance
 
+LOUDEST = 2.0
+"""Energy of an echo over its mean, at most."""
+
 
 @runtime_checkable
 class Interference(Protocol):
@@ -184,7 +187,8 @@ class FreeSignatures(Checked):
         more = softplus(gain - cost[..., None]).sum((-2, -1))
         if interferers is None or not interferers.any:
             return more
-        bare = covariance - interferers.covariance
+        present = measurement.present
+        bare = covariance - interferers.covariance * (present[..., :, None] * present[..., None, :])
         net = fit(measurement, bare, interferers.before, cost, self.memory, new=True)[1]
         before, after = (gaussian_log_likelihood(measurement, c) for c in (covariance, bare))
         anew = after + net - (before - interferers.cost)
@@ -195,12 +199,19 @@ class FreeSignatures(Checked):
         self, whitener: Whitener, index: Tensor, moment: Tensor, strength: Tensor, new: Tensor
     ) -> Tensor:
         """See `echo_gain`."""
-        own = take(strength, index)
-        stronger = strength.sum(-1, keepdim=True) > own.sum(-1)[..., None, None]
-        if not self.echoes or not bool(stronger.any()):
-            return torch.zeros_like(own[..., 0])
         response = principal(moment)
-        power = torch.where(stronger, strength, 0.0)
+        sent = strength * response.abs().square().sum(-1)  # (*batch, N, I)
+        total, own = sent.sum(-1), take(sent, index).sum(-1, keepdim=True)
+        stronger = total > own
+        # As many as can be told apart, and none of what is too strong for an echo of them all.
+        rank = torch.where(stronger, total, 0.0).argsort(-1, descending=True).argsort(-1)
+        apart = whitener.num_snapshots.amax(-1, keepdim=True) - 1
+        parents = stronger & (rank < apart)
+        heard = torch.where(parents, total, 0.0).sum(-1, keepdim=True)
+        parents = parents & (own < LOUDEST * self.echoes * heard)
+        if not bool(parents.any()):
+            return torch.zeros_like(own[..., 0])
+        power = torch.where(parents[..., None], strength, 0.0)
         return echo_gain(whitener, take(response, index), response, power, self.echoes, new)
 
     @torch.no_grad()
