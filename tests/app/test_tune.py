@@ -272,7 +272,7 @@ def test_files_instead_of_seeds(tmp_path, settings):
     [
         ("+hyperparameters.speed={}", "key 'hyperparameters.speed': found an unknown name"),
         ("+hyperparameters.tilt_deg={start:1.0}", "key 'hyperparameters.tilt_deg': found"),
-        ("+hyperparameters.mismatch_share={}", "key 'hyperparameters.mismatch_share': found"),
+        ("+hyperparameters.mismatch_share.start=[0.1]", "key 'hyperparameters.mismatch_share': found"),
         ("+hyperparameters.survival.start=1.5", "key 'hyperparameters.survival': found 1.5"),
         ("heldout_seeds=[1,7]", "key 'heldout_seeds': found [1] in both sets"),
         ("train_paths=[none.npz]", "key 'heldout_paths': found [], expected files for both sets"),

@@ -7,8 +7,14 @@ import pytest
 import torch
 from oracles.devices import assert_kind
 
+from torchdt.data.recording import validate
 from torchdt.field import PlaneWaveField, SphericalWaveField
 from torchdt.field.array import SensorArray, nearest_spacing, warn_of_aliasing
+from torchdt.field.mismatch import MismatchedField
+from torchdt.filter.config import TrackerConfig
+from torchdt.filter.direct import DirectTracker
+from torchdt.model.region import Coordinate, Region
+from torchdt.run.track import track
 
 F64 = torch.float64
 SQUARE = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]]
@@ -96,3 +102,67 @@ def test_spacing_beyond_half_a_wavelength_is_warned_of_once(caplog):
             warn_of_aliasing(places, [100.0, 172.25], 343.0)
     assert caplog.text.count("sensors are 1 m apart") == 1
     assert "0.9956 m at 172.2 Hz" in caplog.text
+
+
+CUBE = [[0.0, 0.0, 0.0], [0.3, 0.0, 0.1], [0.0, 0.25, 0.0], [-0.1, 0.2, 0.4], [0.0, 0.0, 0.2]]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("normalize", [True, False])
+def test_a_diffuse_field_is_the_mean_over_all_directions(normalize, sign):
+    """Of `a a^H`, by quadrature over the sphere: Gauss-Legendre in height, evenly spaced in azimuth."""
+    field = PlaneWaveField(
+        [400.0, 900.0], CUBE, 343.0, "azimuth_elevation", normalize=normalize, sign=sign, dtype=F64
+    )
+    height, weight = np.polynomial.legendre.leggauss(40)
+    elevation, azimuth = np.degrees(np.arcsin(height)), np.arange(80) * 4.5
+    states = torch.from_numpy(np.stack(np.meshgrid(azimuth, elevation), -1))  # (40, 80, 2)
+    response = field(states)
+    each = response[..., :, None] * response[..., None, :].conj()
+    expected = (each.mean(1) * torch.from_numpy(weight / 2)[:, None, None, None]).sum(0)
+    found = field.incoherent(states)
+    assert found.shape == (40, 80, 2, 5, 5)
+    torch.testing.assert_close(found, expected.expand_as(found), rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("normalize", [True, False])
+@pytest.mark.parametrize("dtype", [torch.float32, F64])
+def test_a_diffuse_field_has_the_energy_of_the_response(normalize, dtype):
+    spherical = SphericalWaveField([400.0, 900.0], CUBE, 343.0, normalize=normalize, dtype=dtype)
+    plane = PlaneWaveField([400.0, 900.0], CUBE, 343.0, "bearing", normalize=normalize, dtype=dtype)
+    for field, state in ((spherical, [[[2.0, 1.0], [-0.5, 3.0]]]), (plane, [[[10.0], [200.0]]])):
+        states = torch.tensor(state, dtype=dtype)
+        found = field.incoherent(states)
+        assert_kind(found, torch.complex(states, states).dtype, "cpu")
+        trace = found.diagonal(dim1=-2, dim2=-1).real.sum(-1)
+        torch.testing.assert_close(trace, field(states).abs().square().sum(-1))
+        torch.testing.assert_close(field.incoherent(states[0, 1]), found[0, 1])
+        assert torch.linalg.eigvalsh(found).min() > -1e-6
+
+
+def test_a_diffuse_field_is_white_where_sensors_are_half_a_wavelength_apart():
+    """The sine is zero at multiples of half a wavelength."""
+    line = [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [1.5, 0.0, 0.0]]
+    field = SphericalWaveField([343.0], line, 343.0, dtype=F64)
+    found = field.incoherent(torch.tensor([3.0, 4.0], dtype=F64))
+    torch.testing.assert_close(found[0].real, torch.eye(3, dtype=F64) / 3)
+
+
+def test_a_diffuse_share_acts_in_the_tracker():
+    """One loud source in a room, half of its energy diffuse: with the share it is the only object."""
+    stream = torch.Generator().manual_seed(0)
+    places = [[0.06 * x, 0.06 * y, 0.0] for x in range(3) for y in range(2)]
+    field = PlaneWaveField([1500.0, 2500.0], places, 343.0, "bearing", dtype=F64)
+    share = torch.full((2,), 0.5, dtype=F64)
+    room = MismatchedField(field, share)
+    state = torch.tensor([40.0, 0.0], dtype=F64)
+    coherent = room(state)
+    covariance = coherent[:, :, None] * coherent[:, None].conj() + room.diffuse(state)
+    lower = torch.linalg.cholesky(covariance + 1e-4 * torch.eye(6, dtype=covariance.dtype))
+    draws = torch.randn(20, 2, 6, 10, generator=stream, dtype=torch.complex128)
+    coordinate = Coordinate("bearing", "deg", -180, 180, 10, -1, 1, 1e-3, period=360)
+    config = TrackerConfig(particles=100, mismatch_share=share.tolist())
+    tracker = DirectTracker(field, Region([coordinate], F64), 1.0, config)
+    history = track(validate(snapshots=(lower @ draws).mT, step_s=1.0), tracker, seeds=[0])
+    assert history.declared[0, 5:].sum(-1).eq(1).all()
+    assert (history.position[0, 5:][history.declared[0, 5:]] - 40).abs().max() < 10

@@ -162,7 +162,7 @@ def test_a_configured_share_acts_in_python():
 @pytest.mark.parametrize(
     ("field", "share", "words"),
     [
-        (LineArrayField(FREQS, POSITIONS, dtype=F64), [0.1, 0.1], "does not know how its response scatters"),
+        (Doppler(), [0.1, 0.1], "does not know how its response scatters"),
         (make_waveguide(F64), [0.1], "2 numbers, one for each tone"),
         (
             MismatchedField(make_waveguide(F64), torch.full((2,), 0.1, dtype=F64)),

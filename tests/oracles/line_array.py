@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 
 from torchdt.field.plane_wave import LineArrayField
+from torchdt.field.wrapped import WrappedField
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.proposal.adapted import Adapted
@@ -38,6 +39,13 @@ SMALL_PAPER = {
     "noise_particles": 100,
     "births": 3,
 }
+
+
+class Silent(WrappedField):
+    """A field that does not say how it scatters."""
+
+    def incoherent(self, state: Tensor) -> None:
+        return None
 
 
 def make_field(dtype: torch.dtype = torch.float64) -> LineArrayField:

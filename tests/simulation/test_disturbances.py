@@ -2,6 +2,7 @@ import math
 
 import pytest
 import torch
+from oracles.line_array import Silent
 from oracles.line_array import make_field as make_line
 from oracles.waveguide import DEPTHS, FREQS, WATER, make_field
 from scipy.stats import binom, chi2
@@ -139,4 +140,8 @@ def test_what_does_not_fit_the_field():
     )
     flat = NoiseColourSettings(surface_share=0.5, surface=[[500.0]])
     refuse(lambda: noise_covariance(flat, WAVEGUIDE), "noise_colour.surface", "2 coordinates each")
-    refuse(lambda: noise_covariance(flat, make_line()), "noise_colour.surface", "none: this field knows no")
+    refuse(
+        lambda: noise_covariance(flat, Silent(make_line())),
+        "noise_colour.surface",
+        "none: this field knows no",
+    )

@@ -103,6 +103,25 @@ class SensorArray(nn.Module, BaseField):
         phase = 2 * math.pi * (path[..., None, :] * self._cycles[:, None]).frac().to(self.dtype)
         return torch.complex(phase.cos(), phase.sin())
 
+    def incoherent(self, state: Tensor) -> Tensor:
+        """A diffuse sound field of the response's energy: waves from everywhere, none coherent with another.
+
+        `R_pq = |a|^2 / M sin(k d_pq) / (k d_pq)`, `d_pq` the distance of two sensors, is the mean of `a a^H`
+        over plane waves from all directions of space (Cook et al., J. Acoust. Soc. Am. 27, 1955): what a room
+        makes of a source.
+
+        Args:
+            state: `(*batch, D)` real, as the field takes it.
+
+        Returns:
+            `(*batch, I, M, M)` complex Hermitian, of trace `|a|^2`.
+        """
+        response = self(state)
+        distance = torch.cdist(self._places, self._places)
+        coherence = torch.sinc(2 * self._cycles[:, None, None] * distance).to(response.dtype)
+        energy = response.abs().square().sum(-1) / self.num_sensors
+        return energy[..., None, None] * coherence
+
     def position(self, state: Tensor) -> Tensor:
         """The position part of a state, float64.
 

@@ -8,7 +8,7 @@ from oracles.line_array import make_tracker, simulate
 
 from torchdt.core.random import RandomStreams
 from torchdt.core.trees import tree_map
-from torchdt.field.wrapped import WrappedField
+from torchdt.field.mismatch import MismatchedField
 from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.context import StepContext
 from torchdt.filter.intensity.settings import UNKNOWN, Ignored, Intensity
@@ -167,15 +167,11 @@ def test_an_object_that_is_dropped_leaves_its_odds():
 
 
 def test_what_is_unexplained_is_asked_of_the_field():
-    """A waveguide has a share of mismatch for it; plane waves know nothing of their errors."""
+    """A share of mismatch says it; that a field would know how it scatters does not."""
     state = torch.tensor([[5.0]], dtype=torch.float64)
     plane = make_tracker().field
-
-    class Scattering(WrappedField):
-        def incoherent(self, state):
-            return torch.eye(8, dtype=torch.complex128).expand(*state.shape[:-1], 2, 8, 8)
-
+    shared = MismatchedField(plane, torch.tensor([0.1, 0.1], dtype=torch.float64))
     asked = Intensity(leftover=None)
     assert asked.unexplained(plane, state) == UNKNOWN
-    assert asked.unexplained(Scattering(plane), state) == 0
-    assert Intensity(leftover=0.3).unexplained(Scattering(plane), state) == 0.3
+    assert asked.unexplained(shared, state) == 0
+    assert Intensity(leftover=0.3).unexplained(shared, state) == 0.3

@@ -52,7 +52,7 @@ class Ignored(Checked):
 
 
 UNKNOWN = 0.1
-"""Share of an object's power that is not where a field says that knows nothing of its errors."""
+"""Share of an object's power that is not where a field says, where no share of mismatch is known."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ class Intensity(Checked):
         step_nats: most that one step can add to the logarithm of the intensity: what says more is seen
             without it, or is nothing that the model explains.
         leftover: share of the power of known objects that their responses may leave unexplained: errors of
-            phase of 18 degrees, echoes. So much counts as noise here. None: nothing where the field knows how
-            its response scatters, since `TrackerConfig.mismatch_share` then says it, and `UNKNOWN` elsewhere.
+            phase of 18 degrees, echoes. So much counts as noise here. None: nothing where a share of mismatch
+            (`TrackerConfig.mismatch_share`, or that of the calibration) says it, and `UNKNOWN` elsewhere.
         promote: existence probability above which a neighbourhood becomes a potential object.
         alike: share of a response's energy that another explains, from which on both are one neighbourhood.
         hypotheses: number of cells times levels times rates, at most; a region whose cells and levels alone
@@ -89,7 +89,7 @@ class Intensity(Checked):
         """`leftover` of a field, which is asked at any state."""
         if self.leftover is not None:
             return self.leftover
-        return UNKNOWN if field.incoherent(of_each(field, state)) is None else 0.0
+        return UNKNOWN if field.diffuse(of_each(field, state)) is None else 0.0
 
     def level(self, like: Tensor) -> Tensor:
         """The levels, `(L,)`, evenly spaced in the logarithm."""
