@@ -7,7 +7,9 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-import recordings.tart_recording  # noqa: F401 - a kind of data, for all jobs
+# Kinds of data, for all jobs.
+import recordings.directions
+import recordings.tart_recording  # noqa: F401
 from torchdt.app import job as jobs
 
 FOLDER = Path(__file__).parent
