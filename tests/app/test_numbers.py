@@ -31,7 +31,17 @@ NEGATIVE = {
     *("seed", "seeds", "train_seeds", "heldout_seeds"),
     *("snr_db", "power_db", "gain_db"),
     *("bow_m", "slope_m_per_km"),
-    *("low", "high", "rate_low", "rate_high", "positions", "times_s", "truth_depth_m"),
+    *(
+        "low",
+        "high",
+        "report_low",
+        "report_high",
+        "rate_low",
+        "rate_high",
+        "positions",
+        "times_s",
+        "truth_depth_m",
+    ),
 }
 """Numbers of which -1 may be one."""
 

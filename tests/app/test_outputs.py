@@ -7,6 +7,7 @@ pytestmark = pytest.mark.slow
 FILES = {
     "metrics.json",
     "gospa.csv",
+    "energy.csv",
     "tracks.csv",
     "manifest.json",
     "figures",
@@ -55,6 +56,8 @@ def test_metrics(run):
         "seed",
         "log_likelihood",
         "failed_steps",
+        "energy",
+        "hints",
         "seconds",
         "steps_per_second",
         "gospa",

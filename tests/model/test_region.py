@@ -51,9 +51,12 @@ def test_only_what_is_asked_for_is_reported():
     assert Region([RANGE, DEPTH], torch.float64).reports(positions).all()
 
 
-@pytest.mark.parametrize(("low", "high"), [(999.0, None), (None, 1101.0), (1050.0, 1050.0)])
-def test_limits_of_what_is_reported_lie_in_the_region(low, high):
-    with pytest.raises(InputError, match=r"scenario.coordinates.range.report_low"):
+@pytest.mark.parametrize(
+    ("low", "high", "key"),
+    [(999.0, None, "report_low"), (None, 1101.0, "report_high"), (1050.0, 1050.0, "report_high")],
+)
+def test_limits_of_what_is_reported_lie_in_the_region(low, high, key):
+    with pytest.raises(InputError, match=rf"scenario.coordinates.range.{key}"):
         replace(RANGE, report_low=low, report_high=high)
 
 

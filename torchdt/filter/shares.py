@@ -21,7 +21,7 @@ PARTS = ("objects", "interferers", "noise", "unexplained")
 
 @torch.no_grad()
 def energy_shares(beliefs: Beliefs, measurement: Measurement, noise_model: NoiseCovariance) -> Tensor:
-    """Share of each tone's energy of every part of `PARTS`, `(*batch, I, 4)`; zero of a tone without data.
+    """Share of each tone's energy of every part of `PARTS`, `(*batch, I, 4)`; zero where there is no energy.
 
     Args:
         beliefs: after the step.
@@ -49,5 +49,7 @@ def energy_shares(beliefs: Beliefs, measurement: Measurement, noise_model: Noise
     expected = (total - objects - others).diagonal(dim1=-2, dim2=-1).real.mul(present).sum(-1)
     quiet = torch.minimum(noise, expected).clamp_min(0)
     parts = torch.stack([sent, free, quiet, (noise - expected).clamp_min(0)], -1)
-    shares = parts / parts.sum(-1, keepdim=True)
-    return torch.where((measurement.num_snapshots > 0)[..., None], shares, 0.0).to(beliefs.power.dtype)
+    energy = parts.sum(-1, keepdim=True)
+    heard = (energy > 0) & (measurement.num_snapshots > 0)[..., None]
+    shares = parts / torch.where(heard, energy, 1.0)
+    return torch.where(heard, shares, 0.0).to(beliefs.power.dtype)

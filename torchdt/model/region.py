@@ -67,8 +67,9 @@ class Coordinate:
             most = f"at least the region's width, {width}, or null"
             require(self.is_closed or self.period > width, f"{key}.period", self.period, most)
         low, high = self.report
-        within = f"limits between {self.low} and {self.high}, the first below the second"
-        require(self.low <= low < high <= self.high, f"{key}.report_low", [low, high], within)
+        within = f"a number between low, {self.low}, and high, {self.high}"
+        require(self.low <= low < self.high, f"{key}.report_low", low, within)
+        require(low < high <= self.high, f"{key}.report_high", high, f"{within}, above report_low, {low}")
         finest = width / MOST_CELLS
         require(
             self.cell >= finest, f"{key}.cell", self.cell, f"at least {finest:.3g}, a region of fewer cells"

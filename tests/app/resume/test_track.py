@@ -186,6 +186,7 @@ def test_without_a_checkpoint_a_run_begins_anew(start, tmp_path):
         "track.log",
         "manifest.json",
         "metrics.json",
+        "energy.csv",
         "tracks.csv",
         "gospa.csv",
     }
