@@ -164,23 +164,7 @@ def test_trajectories_follow_labels():
     declared = torch.tensor([[True, False], [True, True], [True, True], [False, False]])
     state = torch.arange(16.0).reshape(4, 2, 2)
     blank = torch.zeros(4)
-    tracks = trajectories(
-        TrackHistory(
-            blank,
-            blank,
-            declared,
-            label,
-            state[..., :1],
-            state,
-            blank,
-            blank,
-            blank,
-            blank,
-            blank,
-            blank,
-            blank,
-        )
-    )
+    tracks = trajectories(TrackHistory(blank, blank, declared, label, state[..., :1], state, *[blank] * 7))
     np.testing.assert_array_equal(tracks, lines([0, 4, 10, NAN], [NAN, 6, 8, NAN]))
 
 

@@ -12,18 +12,4 @@ def line_history(label: Sequence[Sequence[int]], position: Sequence[Sequence[flo
     labels, place = torch.tensor(label), torch.tensor(position, dtype=torch.float32)
     state = torch.stack([place, torch.zeros_like(place)], -1)
     blank = torch.zeros(len(labels))
-    return TrackHistory(
-        blank,
-        blank,
-        labels > 0,
-        labels,
-        state[..., :1],
-        state,
-        blank,
-        blank,
-        blank,
-        blank,
-        blank,
-        blank,
-        blank,
-    )
+    return TrackHistory(blank, blank, labels > 0, labels, state[..., :1], state, *[blank] * 7)
