@@ -67,7 +67,7 @@ def bytes_per_sequence(tracker: Tracker[Any], recording: Recording) -> int:
         work = dictionary
     own = 0 if tracker.field.num_sequences is None else 2 * dictionary
     estimates = K * (
-        config.slots * (region.num_coordinates + 2 * region.num_entries + num_tones + 5) + num_tones + 2
+        config.slots * (region.num_coordinates + 2 * region.num_entries + num_tones + 5) + 5 * num_tones + 2
     )
     data = recording.data[0].numel() * torch.complex128.itemsize
     return (work + own + 2 * estimates) * region.low.dtype.itemsize + 3 * data
