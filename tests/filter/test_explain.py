@@ -145,3 +145,17 @@ def test_empty_slots_leave_an_explanation_as_it_is():
         for e in (explanation, padded)
     ]
     torch.testing.assert_close(*values)
+
+
+def test_a_step_without_data_among_loud_ones_breaks_nothing():
+    """100 dB from one step to the next, in single precision, and an object that is as loud: what numbers can
+    tell from rounding depends on all that is there."""
+    data = sources(ONE) + ships(1.0)
+    data[:, 2:] *= 1e5
+    data[:, 3] = torch.nan
+    measurement = from_snapshots(data.to(torch.complex64))
+    streams = RandomStreams.from_seeds(SEEDS, (len(SEEDS),), torch.float32)
+    with torch.inference_mode():
+        history = make_tracker(torch.float32).run(measurement, data_priors(measurement), streams)
+    assert not history.failed.any()
+    assert history.existence.isfinite().all()

@@ -180,7 +180,10 @@ def judged(
     if not bool((without_it > NOTHING).any()):
         return beliefs
     moment, power = take(modelled, index), take(beliefs.power, index)
-    covariance = others + power[..., None, None] * moment
+    # Anew, not added to what is without it: the least noise that numbers can tell depends on the sum.
+    signal = signal_covariance(without(beliefs.strength, index), beliefs.moment)
+    signal = signal + power[..., None, None] * take(beliefs.moment, index)
+    covariance = noise_model.covariance(signal, variance, measurement.present)
     with_it = torch.maximum(
         interference.rival(measurement, covariance, variance, beliefs.interferers),
         interference.leftover(measurement, others, moment, power),
@@ -279,8 +282,9 @@ class Flooding:
             own, found = power[..., None, None] * moment, beliefs.interferers
             if found is not None:
                 found = tree_map(lambda t: t.unsqueeze(noise.ndim - 2), found)
+            together = noise_model.covariance(signal + own, noise, per_object.present)
             with_it = torch.maximum(
-                interference.rival(per_object, others + own, noise, found),
+                interference.rival(per_object, together, noise, found),
                 interference.leftover(per_object, others, moment, power),
             )
             change = with_it - interference.rival(per_object, others, noise, found)
