@@ -44,7 +44,7 @@ DTYPES = pytest.mark.parametrize("dtype", [F32, F64])
 PATHS = (((0.0, -40.0), (5.0, -38.0)), ((0.0, 30.0), (5.0, 29.0)))
 PLACES, TILTS = [(2812.0, 57.0), (2930.0, 41.0)], (0.0, 0.5)
 SMALLER = {"particles": 40, "births": 2, "proposal": Adapted(rounds=2, round_size=64)}
-# Flooding finds a source that begins beside another too late to tell it from an interferer.
+# Flooding doubts both of two sources that begin together, and finds one of them only.
 FLOODING = {"schedule": Flooding(), "interference": NoInterference()}
 DIRECT = {
     "adapted, sequential, sampled": {},

@@ -14,7 +14,7 @@ from benchmarks.oracle import load_oracle
 from benchmarks.problem import random_problem
 from benchmarks.report import Measured
 from torchdt.core.trees import take_sequences
-from torchdt.filter.bp.schedule import Beliefs
+from torchdt.filter.bp.beliefs import Beliefs
 from torchdt.filter.bp.update import update
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement

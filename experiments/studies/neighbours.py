@@ -11,10 +11,11 @@ from torch import Tensor
 from torchdt.core.random import RandomStreams
 from torchdt.core.weights import normalise
 from torchdt.field.plane_wave import LineArrayField
+from torchdt.filter.bp.beliefs import Beliefs
 from torchdt.filter.bp.configurations import UniformDraws, draw_configurations, labellings
 from torchdt.filter.bp.evidence import sampled_evidence
 from torchdt.filter.bp.joint import clusters, joint_marginals
-from torchdt.filter.bp.schedule import Beliefs, Flooding, Schedule, Sequential
+from torchdt.filter.bp.schedule import Flooding, Schedule, Sequential
 from torchdt.filter.bp.update import update
 from torchdt.filter.proposal.moved import respond
 from torchdt.filter.state import Objects

@@ -7,7 +7,7 @@ import torch
 from oracles.line_array import make_region
 from torch import Tensor
 
-from torchdt.filter.bp.schedule import Beliefs, as_belief
+from torchdt.filter.bp.beliefs import Beliefs, as_belief
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.declare import empty_slots, idle_particles, posterior, report
 from torchdt.filter.state import Objects, TrackerState

@@ -12,7 +12,6 @@ from torchdt.field.stacked import StackedField
 from torchdt.filter.bp.schedule import Flooding, Sequential
 from torchdt.filter.direct import DirectTracker
 from torchdt.filter.history import TrackHistory
-from torchdt.filter.interference.settings import FreeSignatures, NoInterference
 from torchdt.filter.proposal.as_predicted import AsPredicted
 from torchdt.model.measurement import from_snapshots
 from torchdt.model.prior import data_priors
@@ -73,9 +72,7 @@ def mixed() -> torch.Tensor:
 def test_two_sources_are_found_and_keep_their_labels(dtype, schedule):
     seeds = [1, 2, 3]
     data, truth = zip(*(simulate(s, *TWO) for s in seeds), strict=True)
-    # A source that flooding finds late is an interferer by then, and goes on as one.
-    interference = FreeSignatures() if schedule == Sequential() else NoInterference()
-    history = run(torch.stack(data), seeds, dtype, schedule=schedule, interference=interference)
+    history = run(torch.stack(data), seeds, dtype, schedule=schedule)
     assert_sound(history)
     assert history.state.dtype == dtype
     start = 2 if schedule == Sequential() else 5  # flooding takes longer to part two sources

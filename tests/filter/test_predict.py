@@ -3,7 +3,7 @@
 import torch
 from oracles.line_array import make_region, make_tracker
 
-from torchdt.filter.bp.schedule import Beliefs
+from torchdt.filter.bp.beliefs import Beliefs
 from torchdt.filter.predict import exchangeable, predict
 from torchdt.model.motion.driving import Score
 from torchdt.model.prior import Priors

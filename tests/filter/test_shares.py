@@ -3,8 +3,8 @@
 import torch
 from oracles.line_array import make_field
 
+from torchdt.filter.bp.beliefs import Beliefs
 from torchdt.filter.bp.messages import ObjectBelief
-from torchdt.filter.bp.schedule import Beliefs
 from torchdt.filter.interference.signatures import Interferers
 from torchdt.filter.shares import PARTS, energy_shares
 from torchdt.model.measurement import from_snapshots

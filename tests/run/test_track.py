@@ -311,7 +311,7 @@ def between_extremes(case: str) -> Recording:
 @pytest.mark.parametrize("case", ["60 dB", "no noise", "rank one", "a loud step", "zeros at the end"])
 def test_level_differences_that_the_precision_can_bear(case, dtype):
     """None of them breaks down, and both sources are found where they can be."""
-    # What is suddenly 80 dB louder is no object but of free signature, and goes on as such.
+    # Where all is suddenly 80 dB louder, signals of free signature take the place of both objects.
     plain = {"interference": NoInterference()} if case == "a loud step" else {}
     history = track(between_extremes(case), make_tracker(dtype, **plain), [1])
     assert not history.failed.any()

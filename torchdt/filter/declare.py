@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from torchdt.core.weights import effective_sample_size, standard_deviation, weighted_mean
-from torchdt.filter.bp.schedule import Beliefs
+from torchdt.filter.bp.beliefs import Beliefs
 from torchdt.filter.config import ObjectConfig
 from torchdt.filter.history import StepEstimate
 from torchdt.filter.slots import fit_slots

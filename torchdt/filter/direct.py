@@ -14,7 +14,7 @@ from torchdt.data.recording import Recording
 from torchdt.field.base import BaseField, Field, of_each, repeat_field
 from torchdt.field.mismatch import with_share
 from torchdt.field.wrapped import CompletedField
-from torchdt.filter.bp.schedule import Beliefs
+from torchdt.filter.bp.beliefs import Beliefs
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.context import StepContext
 from torchdt.filter.declare import empty_slots, idle_particles, posterior, report

@@ -18,11 +18,11 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torchdt.core.trees import select, tree_map
-from torchdt.filter.bp.schedule import NOTHING_ELSE, Beliefs
+from torchdt.filter.bp.beliefs import Beliefs
 from torchdt.filter.bp.update import free_energy, update
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.context import StepContext
-from torchdt.filter.interference.settings import Interference, beside
+from torchdt.filter.interference.settings import NOTHING_ELSE, Interference, beside
 from torchdt.filter.interference.signatures import Interferers
 from torchdt.filter.placement import Placer
 from torchdt.filter.predict import Predicted

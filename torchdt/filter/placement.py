@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from torchdt.core.trees import put_sequences, select, take_sequences, tree_map
+from torchdt.filter.bp.beliefs import Beliefs, initial_beliefs
 from torchdt.filter.bp.moments import signal_covariance
-from torchdt.filter.bp.schedule import Beliefs, initial_beliefs
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.context import StepContext
 from torchdt.filter.predict import Predicted

@@ -10,7 +10,7 @@ from torchdt.core.resampling import scale_tril
 from torchdt.core.trees import tree_map
 from torchdt.core.weights import normalise
 from torchdt.field.base import BaseField
-from torchdt.filter.bp.schedule import Beliefs, as_belief, initial_beliefs
+from torchdt.filter.bp.beliefs import Beliefs, as_belief, initial_beliefs
 from torchdt.filter.proposal.moved import diffuse_part, respond
 from torchdt.filter.state import Objects, TrackerState
 from torchdt.model.existence import condition_inside, predict_log_odds

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchdt.core.linalg import cholesky
-from torchdt.filter.bp.schedule import Beliefs
+from torchdt.filter.bp.beliefs import Beliefs
 from torchdt.model.measurement import Measurement
 from torchdt.model.noise.base import NoiseCovariance
 

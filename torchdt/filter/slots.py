@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from torchdt.core.trees import tree_map
-from torchdt.filter.bp.schedule import Beliefs, strongest_first
+from torchdt.filter.bp.beliefs import Beliefs, strongest_first
 from torchdt.filter.state import Objects
 
 

@@ -13,7 +13,8 @@ from oracles.waveguide import configured
 from torchdt.core.trees import select
 from torchdt.field.build import waveguide
 from torchdt.field.mismatch import MismatchedField
-from torchdt.filter.bp.schedule import Flooding, Sequential, background, initial_beliefs
+from torchdt.filter.bp.beliefs import background, initial_beliefs
+from torchdt.filter.bp.schedule import Flooding, Sequential
 from torchdt.filter.bp.update import update
 from torchdt.filter.proposal.moved import diffuse_part, respond
 from torchdt.filter.state import Objects

@@ -12,9 +12,9 @@ from oracles.scenes import LEFT_RIGHT, UNAMBIGUOUS, Scene, make_scene, repeat, u
 from torch import Tensor
 
 from torchdt.core.random import RandomStreams
+from torchdt.filter.bp.beliefs import Beliefs, initial_beliefs
 from torchdt.filter.bp.configurations import Configurations, UniformDraws, draw_configurations, labellings
 from torchdt.filter.bp.evidence import gaussian_evidence, sampled_evidence
-from torchdt.filter.bp.schedule import Beliefs, initial_beliefs
 from torchdt.filter.bp.update import update
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import from_snapshots

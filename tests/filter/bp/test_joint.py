@@ -10,9 +10,9 @@ from oracles.scenes import Scene, make_scene
 
 from torchdt.core.random import RandomStreams
 from torchdt.core.trees import stack, tree_map
+from torchdt.filter.bp.beliefs import Beliefs, initial_beliefs
 from torchdt.filter.bp.configurations import UniformDraws
 from torchdt.filter.bp.joint import clusters, joint_marginals
-from torchdt.filter.bp.schedule import Beliefs, initial_beliefs
 from torchdt.filter.bp.update import update
 from torchdt.filter.state import Objects
 from torchdt.model.noise.white import WHITE

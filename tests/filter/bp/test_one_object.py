@@ -13,9 +13,9 @@ from torch.nn.functional import logsigmoid
 
 from torchdt.core.mixture import GaussianMixture
 from torchdt.core.random import RandomStreams
+from torchdt.filter.bp.beliefs import initial_beliefs
 from torchdt.filter.bp.configurations import UniformDraws, draw_configurations
 from torchdt.filter.bp.evidence import sampled_evidence
-from torchdt.filter.bp.schedule import initial_beliefs
 from torchdt.filter.bp.update import update
 from torchdt.filter.proposal.moved import Draws, propose_adapted, respond
 from torchdt.filter.state import Objects

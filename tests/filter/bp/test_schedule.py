@@ -7,7 +7,8 @@ from oracles.arrays import direct_log_likelihood
 from oracles.enumeration import enumerate_pair
 from oracles.scenes import LEFT_RIGHT, SAME, TOUCHING, UNAMBIGUOUS, Scene, make_scene, unambiguous
 
-from torchdt.filter.bp.schedule import SEQUENTIAL, Flooding, Schedule, Sequential, strongest_first
+from torchdt.filter.bp.beliefs import strongest_first
+from torchdt.filter.bp.schedule import SEQUENTIAL, Flooding, Schedule, Sequential
 from torchdt.filter.bp.update import update
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement

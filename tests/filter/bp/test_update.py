@@ -8,8 +8,8 @@ import torch
 from oracles.interferers import any_level
 from oracles.scenes import LEFT_RIGHT, Scene, make_scene
 
+from torchdt.filter.bp.beliefs import Beliefs, as_belief
 from torchdt.filter.bp.messages import ObjectBelief
-from torchdt.filter.bp.schedule import Beliefs, as_belief
 from torchdt.filter.bp.update import divergence, free_energy, update
 from torchdt.filter.interference.settings import FreeSignatures
 from torchdt.filter.interference.signatures import Interferers, fit

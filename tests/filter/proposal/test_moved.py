@@ -11,9 +11,9 @@ from torchdt.core.mixture import GaussianMixture, cluster_moments
 from torchdt.core.random import RandomStreams
 from torchdt.core.resampling import scale_tril
 from torchdt.core.weights import mean_and_covariance
+from torchdt.filter.bp.beliefs import initial_beliefs
 from torchdt.filter.bp.messages import state_message
 from torchdt.filter.bp.rank_one import whiten
-from torchdt.filter.bp.schedule import initial_beliefs
 from torchdt.filter.proposal.moved import Draws, propose_adapted, respond
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement, from_snapshots

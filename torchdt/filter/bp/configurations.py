@@ -18,9 +18,9 @@ from torch.nn.functional import logsigmoid
 from torchdt.core.random import RandomStreams
 from torchdt.core.resampling import invert_cumulative
 from torchdt.core.trees import put, take, tree_map
+from torchdt.filter.bp.beliefs import Beliefs, as_belief, background
 from torchdt.filter.bp.messages import ObjectBelief, object_belief
 from torchdt.filter.bp.rank_one import whiten
-from torchdt.filter.bp.schedule import Beliefs, as_belief, background
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement
 from torchdt.model.noise.base import Noise, NoiseCovariance

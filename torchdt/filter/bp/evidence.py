@@ -17,6 +17,7 @@ from torch.nn.functional import pad
 from torchdt.core.linalg import check_finite
 from torchdt.core.random import RandomStreams
 from torchdt.core.ranges import Checked, Count
+from torchdt.filter.bp.beliefs import Beliefs, as_belief
 from torchdt.filter.bp.configurations import (
     Configurations,
     UniformDraws,
@@ -25,7 +26,6 @@ from torchdt.filter.bp.configurations import (
     log_probability,
 )
 from torchdt.filter.bp.moments import signal_covariance
-from torchdt.filter.bp.schedule import Beliefs, as_belief
 from torchdt.filter.context import StepContext
 from torchdt.filter.predict import Predicted, exchangeable
 from torchdt.filter.slots import Placed

@@ -21,6 +21,7 @@ from torch.nn.functional import logsigmoid, softplus
 
 from torchdt.core.trees import select, tree_map
 from torchdt.core.weights import log_sum, normalise
+from torchdt.filter.bp.beliefs import Beliefs, as_belief, store
 from torchdt.filter.bp.configurations import (
     Configurations,
     UniformDraws,
@@ -33,7 +34,6 @@ from torchdt.filter.bp.configurations import (
 from torchdt.filter.bp.messages import ObjectBelief, object_belief
 from torchdt.filter.bp.moments import signal_covariance
 from torchdt.filter.bp.rank_one import whiten
-from torchdt.filter.bp.schedule import Beliefs, as_belief, store
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood
 from torchdt.model.noise.base import NoiseCovariance

@@ -8,9 +8,9 @@ from torch.nn.functional import pad
 from torchdt.core.random import RandomStreams
 from torchdt.core.ranges import Checked, Count, Share
 from torchdt.core.trees import put_sequences, select, take_sequences
+from torchdt.filter.bp.beliefs import Beliefs
 from torchdt.filter.bp.configurations import UniformDraws
 from torchdt.filter.bp.joint import clusters, joint_marginals
-from torchdt.filter.bp.schedule import Beliefs
 from torchdt.filter.context import StepContext
 from torchdt.filter.predict import Predicted, exchangeable
 from torchdt.filter.slots import Placed

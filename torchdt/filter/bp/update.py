@@ -4,17 +4,11 @@ import torch
 from torch import Tensor
 from torch.nn.functional import logsigmoid
 
+from torchdt.filter.bp.beliefs import Beliefs, as_belief, initial_beliefs
 from torchdt.filter.bp.messages import ObjectBelief
 from torchdt.filter.bp.moments import signal_covariance
-from torchdt.filter.bp.schedule import (
-    NOTHING_ELSE,
-    SEQUENTIAL,
-    Beliefs,
-    Schedule,
-    as_belief,
-    initial_beliefs,
-)
-from torchdt.filter.interference.settings import Interference, beside
+from torchdt.filter.bp.schedule import SEQUENTIAL, Schedule
+from torchdt.filter.interference.settings import NOTHING_ELSE, Interference, beside
 from torchdt.filter.state import Objects
 from torchdt.model.measurement import Measurement, gaussian_log_likelihood
 from torchdt.model.noise.base import Noise, NoiseCovariance

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from torchdt.core.trees import select
 from torchdt.core.weights import weighted_mean
+from torchdt.filter.bp.beliefs import Beliefs
 from torchdt.filter.bp.moments import signal_covariance
 from torchdt.filter.bp.rank_one import whiten
-from torchdt.filter.bp.schedule import Beliefs
 from torchdt.filter.context import StepContext
 from torchdt.filter.intensity.grid import Hypotheses, lay_grid, transition
 from torchdt.filter.intensity.intensity import predict_intensity, tone_powers, update_intensity

@@ -138,6 +138,9 @@ class NoInterference:
         return torch.zeros_like(power[..., 0])
 
 
+NOTHING_ELSE = NoInterference()
+
+
 @dataclass(frozen=True)
 class FreeSignatures(Checked):
     """Signals of any spatial vector, each tone of its own, see `torchdt.filter.interference.signatures`.

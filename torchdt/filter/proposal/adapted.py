@@ -10,7 +10,8 @@ from torchdt.core.importance import Box, adapt
 from torchdt.core.random import RandomStreams
 from torchdt.core.ranges import Checked, Count, Passes
 from torchdt.core.resampling import Resampler
-from torchdt.filter.bp.schedule import Beliefs, Schedule
+from torchdt.filter.bp.beliefs import Beliefs
+from torchdt.filter.bp.schedule import Schedule
 from torchdt.filter.context import StepContext
 from torchdt.filter.predict import Predicted
 from torchdt.filter.proposal.base import NewbornDensity

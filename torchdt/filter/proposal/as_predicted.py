@@ -11,7 +11,8 @@ from torch.nn.functional import pad
 from torchdt.core.importance import Box
 from torchdt.core.random import RandomStreams
 from torchdt.core.resampling import Resampler
-from torchdt.filter.bp.schedule import Beliefs, Schedule, as_belief
+from torchdt.filter.bp.beliefs import Beliefs, as_belief
+from torchdt.filter.bp.schedule import Schedule
 from torchdt.filter.bp.update import update
 from torchdt.filter.context import StepContext
 from torchdt.filter.predict import Predicted

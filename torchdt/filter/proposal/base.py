@@ -10,7 +10,8 @@ from torch import Tensor
 from torchdt.core.importance import Box, Density
 from torchdt.core.random import RandomStreams
 from torchdt.core.resampling import Resampler
-from torchdt.filter.bp.schedule import Beliefs, Schedule
+from torchdt.filter.bp.beliefs import Beliefs
+from torchdt.filter.bp.schedule import Schedule
 from torchdt.filter.context import StepContext
 from torchdt.filter.slots import Placed
 from torchdt.filter.state import Objects

@@ -14,9 +14,9 @@ from torchdt.core.mixture import GaussianMixture, deal, of_component
 from torchdt.core.trees import put, take, tree_map
 from torchdt.core.weights import normalise, weighted_mean
 from torchdt.field.base import BaseField, Field
+from torchdt.filter.bp.beliefs import Beliefs, as_belief, background, store
 from torchdt.filter.bp.messages import object_belief, state_message
 from torchdt.filter.bp.rank_one import whiten
-from torchdt.filter.bp.schedule import Beliefs, as_belief, background, store
 from torchdt.filter.state import Objects
 from torchdt.model.existence import drop_outside
 from torchdt.model.measurement import Measurement
