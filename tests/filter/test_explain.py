@@ -159,3 +159,17 @@ def test_a_step_without_data_among_loud_ones_breaks_nothing():
         history = make_tracker(torch.float32).run(measurement, data_priors(measurement), streams)
     assert not history.failed.any()
     assert history.existence.isfinite().all()
+
+
+def test_what_interferers_cost_is_taken_off_the_evidence():
+    tracker, state, data, priors, streams = started()
+    found = explainer(tracker, state, data, priors, streams)
+    placed, _, beliefs = found.explain()
+    cost = beliefs.interferers.cost
+    assert cost.sum() > 1
+    free = beliefs._replace(interferers=beliefs.interferers._replace(cost=0 * cost))
+    draws = tracker.draw(streams).evidence
+    paid, unpaid = (
+        tracker.evidence(found.context, found.predicted, placed, b, draws) for b in (beliefs, free)
+    )
+    torch.testing.assert_close(unpaid - paid, cost.sum(-1))

@@ -5,8 +5,7 @@ all; and a signal that is no object is worth less than the many objects that it 
 may go alone. Whole explanations are therefore compared where new objects are in question or a new signal is:
 
 - all objects have their say before any is doubted;
-- each is doubted from the start, and what new signals explain is gone before objects are looked for again;
-- where signals go on, the same without them: what was once taken for no object may be one after all.
+- each is doubted from the start, and what new signals explain is gone before objects are looked for again.
 
 That of the larger `free_energy` is kept.
 """
@@ -23,7 +22,6 @@ from torchdt.filter.bp.update import free_energy, update
 from torchdt.filter.config import TrackerConfig
 from torchdt.filter.context import StepContext
 from torchdt.filter.interference.settings import NOTHING_ELSE, Interference, beside
-from torchdt.filter.interference.signatures import Interferers
 from torchdt.filter.placement import Placer
 from torchdt.filter.predict import Predicted
 from torchdt.filter.proposal.cells import Unexplained
@@ -31,9 +29,6 @@ from torchdt.filter.proposal.dictionary import Dictionary
 from torchdt.filter.proposal.moved import Draws
 from torchdt.filter.slots import Placed
 from torchdt.model.prior import Priors
-
-ANEW = 30.0
-"""Nats by which data must be explained better without a signal that was there, for it to go."""
 
 
 class Explanation(NamedTuple):
@@ -84,18 +79,6 @@ class Explainer:
             return Explanation(placed, residual, self._update(placed, placed.beliefs, rivals))
         seen = self.context.measurement, self.context.model.noise, beliefs.noise, beliefs.signal
         going_on = rivals.follow(*seen, self.before, new=False)
-        best = self._beside(going_on)
-        if not going_on.any:
-            return best
-        # What was once taken for no object may be one after all: it may have to begin anew.
-        nothing = going_on._replace(columns=torch.zeros_like(going_on.columns))
-        best, fresh = _alike(best, self._beside(nothing))
-        there = (going_on.columns != 0).flatten(-3).any(-1)
-        return select(there & self._better(fresh, best, ANEW), fresh, best)
-
-    def _beside(self, going_on: Interferers) -> Explanation:
-        """The best explanation that starts from some interferers."""
-        rivals, beliefs = self.config.interference, self.predicted.beliefs
         placed, residual = self._place(beliefs._replace(interferers=going_on))
         doubted = Explanation(placed, residual, self._update(placed, placed.beliefs, rivals))
         found = doubted.beliefs.interferers
@@ -140,13 +123,13 @@ class Explainer:
             before=self.before if rivals.signatures else None,
         )
 
-    def _better(self, first: Explanation, second: Explanation, by: float = 0.0) -> Tensor:
-        """Where the first explains the data better by so many nats, `(*batch,)`."""
+    def _better(self, first: Explanation, second: Explanation) -> Tensor:
+        """Where the first explains the data better, `(*batch,)`."""
         value = [
             free_energy(e.beliefs, e.placed.objects, self.context.measurement, self.context.noise)
             for e in (first, second)
         ]
-        return value[0] > value[1] + by
+        return value[0] > value[1]
 
 
 def _alike(*explanations: Explanation) -> list[Explanation]:

@@ -9,6 +9,7 @@ from oracles.line_array import make_tracker, simulate
 from torchdt.core.random import RandomStreams
 from torchdt.filter.bp.rank_one import whiten
 from torchdt.filter.interference.echoes import echo_gain
+from torchdt.filter.interference.settings import FreeSignatures
 from torchdt.filter.interference.signatures import SURPRISE
 from torchdt.model.measurement import from_snapshots
 from torchdt.model.prior import data_priors
@@ -82,3 +83,30 @@ def test_an_object_whose_response_is_not_right_is_still_one_object():
         near = (history.position[..., 0] + 15).abs() < 8
         assert history.declared.sum(-1).eq(1).all()
         assert (history.declared & near).any(-1).all()
+
+
+def heard(own: torch.Tensor, level: float, count: int = 4) -> float:
+    """What echoes are worth for a source of amplitudes `(J,)` and some power beside one of power 100."""
+    field = make_tracker().field
+    responses = [field(torch.tensor([b, 0.0], dtype=torch.float64)) for b in (-20.0, 25.0)]
+    moment = torch.stack([a[..., None] * a[..., None, :].conj() for a in responses])
+    strength = torch.tensor([[100.0] * 2, [level] * 2], dtype=torch.float64)
+    parent = 10 * PARENT[:count]
+    z = parent[:, None] * responses[0][:, None] + level**0.5 * own[:count, None] * responses[1][:, None]
+    others = 100 * moment[0] + 0.01 * torch.eye(8)
+    whitener = whiten(from_snapshots(z + 0.1 * draw(2, count, 8, seed=9)), others)
+    at, new = torch.tensor(1), torch.tensor(False)
+    return FreeSignatures().echo(whitener, at, moment, strength, new).item()
+
+
+PARENT = draw(8, seed=6)
+
+
+def test_amplitudes_tell_an_echo_from_an_object():
+    """Of the parent's amplitudes; of its own, of which the parent's explain a share of 1 / J; as strong as a
+    fifth of its parent and more, which is no echo; and of one snapshot, of which nobody can tell."""
+    echo, own = heard(PARENT, 1.0, 8), heard(draw(8, seed=7), 1.0, 8)
+    assert echo > 200
+    assert own < 0.5 * echo
+    assert heard(PARENT, 25.0, 8) == 0
+    assert heard(PARENT, 1.0, 1) == 0
