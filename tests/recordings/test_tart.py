@@ -84,7 +84,7 @@ def test_satellites_over_ghana(tmp_path, ghana):
     assert status == 0, err
     scores = json.loads((tmp_path / "tart.json").read_text())
     assert scores["direct"]["declared"] > 10
-    assert scores["direct"]["close"] > 0.93  # .9385 to .9389 with seeds 0 to 3, with either marginals
+    assert scores["direct"]["close"] > 0.95
     assert scores["direct"]["median_error"] < 0.5
     assert scores["direct"]["switches"] == 0
     assert scores["direct"]["gospa"] < min(scores["peaks"]["gospa"], scores["mp_bp"]["gospa"])
