@@ -192,8 +192,8 @@ def fit(
         lower, before.to(lower.dtype).expand(*lower.shape[:-1], num), upper=False
     )
     power_before = old.abs().square().sum(-2, keepdim=True)
-    remembered = old * (memory * left[..., None, None] / (1 + DRIFT * power_before)).sqrt()
-    vector = torch.linalg.svd(torch.cat([white, remembered], -1), full_matrices=False).U[..., :num]
+    remembered = old * (memory * J[..., None, None] / (1 + DRIFT * power_before)).sqrt()
+    vector = torch.linalg.svd(torch.cat([every, remembered], -1), full_matrices=False).U[..., :num]
     level = (white.mH @ vector).abs().square().sum(-2)
     direction = old / power_before.sqrt().clamp_min(torch.finfo(power_before.dtype).tiny)
     overlap = (direction.mH @ vector).abs().square().sum(-2).clamp_max(1.0)
